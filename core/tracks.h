@@ -1,0 +1,39 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <utility>
+#include <vector>
+
+#include "corvid/frame.h"
+#include "corvid/ids.h"
+#include "corvid/pose.h"
+
+namespace corvid {
+
+/// One feature in one frame: what the frontend tells the backend.
+struct TrackObservation {
+  TrackId track;
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();  ///< in the camera's own (distorted) image
+  float score = 0;     ///< NCC score of the match, 1 for a new feature
+  float sigma_px = 1;  ///< standard deviation of the position, from the shape of the peak
+};
+
+/// All features of one frame, sorted by track.
+struct FrameTracks {
+  FramePtr frame;
+  bool keyframe = false;
+  std::vector<TrackObservation> observations;
+};
+
+/// What the backend tells the frontend: where the camera is and where the tracked landmarks are,
+/// so that the next frame's search is bounded. Immutable once published.
+struct MotionState {
+  /// Poses of the last two frames that have one, newest last; empty while starting or lost.
+  std::vector<StampedPose> recent;
+  /// Position of each live landmark in the world, sorted by track.
+  std::vector<std::pair<TrackId, Eigen::Vector3d>> landmarks;
+  /// Tracks that the backend found to be wrong since the last state; the frontend ends them.
+  std::vector<TrackId> rejected;
+};
+
+}  // namespace corvid

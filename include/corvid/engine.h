@@ -1,0 +1,42 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <stop_token>
+
+#include "corvid/error.h"
+#include "corvid/options.h"
+#include "corvid/ports.h"
+#include "corvid/run_result.h"
+
+namespace corvid {
+
+/// Who listens. Null pointers are nobody. Sinks must outlive the engine's run.
+struct EngineSinks {
+  PoseSink* pose = nullptr;
+  MeshSink* mesh = nullptr;
+};
+
+/// The whole engine: a source goes in; poses, a map and a mesh come out.
+///
+/// options.threads == 1 runs every stage inline on the caller's thread, so that results repeat
+/// bit for bit; otherwise frontend, backend and mapping have a thread each.
+class Engine {
+ public:
+  /// Opens the OpenCL device and builds the kernels. Fails with the list of wrong options, or with
+  /// the device's fault.
+  [[nodiscard]] static Expected<std::unique_ptr<Engine>> create(const Options& options);
+  ~Engine();
+
+  /// Runs the source to its end, or until asked to stop: then what there is comes back, marked as
+  /// interrupted. An error means that the source failed before its first frame.
+  [[nodiscard]] Expected<RunResult> run(FrameSource& source, const EngineSinks& sinks = {},
+                                        const std::stop_token& stop = {});
+
+ private:
+  struct Impl;
+  explicit Engine(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace corvid

@@ -1,0 +1,76 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "corvid/frame.h"
+#include "corvid/ids.h"
+#include "corvid/pose.h"
+
+namespace corvid {
+
+enum class TrackingState { starting, tracking, degraded, lost };
+[[nodiscard]] std::string_view to_string(TrackingState state);
+
+/// What the engine says about one frame.
+struct PoseEvent {
+  FrameId frame;
+  std::int64_t time_ns = 0;
+  TrackingState state = TrackingState::starting;
+  std::string reason;                  ///< why, if the state is not `tracking`
+  std::optional<Pose> T_world_camera;  ///< absent while starting or lost
+  /// Of the pose's right perturbation (rho, phi) [map units, rad]; zero if there is no pose.
+  Matrix6d covariance = Matrix6d::Zero();
+  int tracks = 0;        ///< image tracks in this frame
+  int inliers = 0;       ///< landmarks that agree with the pose
+  double mse_px2 = 0;    ///< mean squared reprojection error of the inliers, thesis (3.15)
+  bool keyframe = false;
+  int segment = 0;       ///< map segment; rises when a lost camera starts a new map
+  double latency_ms = 0; ///< from the frame's entry into the engine to this event
+};
+
+struct Landmark {
+  LandmarkId id;
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+  Rgb8 colour;
+  int observations = 0;          ///< keyframes that see it
+  double max_ray_angle_rad = 0;  ///< widest angle between two viewing rays
+};
+
+struct Observation {
+  LandmarkId landmark;
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();
+};
+
+struct Keyframe {
+  KeyframeId id;
+  int segment = 0;
+  FramePtr frame;
+  Pose T_world_camera;
+  std::vector<Observation> observations;  ///< of landmarks only, sorted by landmark
+};
+
+/// The sparse map at one moment. Immutable.
+struct MapSnapshot {
+  std::uint64_t version = 0;
+  std::shared_ptr<const Camera> camera;  ///< with refined intrinsics where they were unknown
+  std::vector<std::shared_ptr<const Keyframe>> keyframes;  ///< by id
+  std::vector<Landmark> landmarks;                         ///< by id
+  [[nodiscard]] const Landmark* find(LandmarkId id) const;
+};
+
+/// Depth of one keyframe, on an undistorted pinhole camera.
+struct DepthMap {
+  KeyframeId keyframe;
+  Camera camera;
+  Pose T_world_camera;    ///< at the time of the estimate
+  FloatImage depth;       ///< z in camera coordinates [map units]; 0 = no answer
+  FloatImage confidence;  ///< fused correlation score in [0, 1]; 0 = no answer
+};
+
+}  // namespace corvid

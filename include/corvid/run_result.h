@@ -1,0 +1,42 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "corvid/map.h"
+#include "corvid/mesh_stream.h"
+#include "corvid/options.h"
+#include "corvid/ports.h"
+#include "corvid/pose.h"
+
+namespace corvid {
+
+/// Time spent in one stage or one part of it, over a run.
+struct StageMetrics {
+  std::string name;  ///< "frontend", "frontend/track", "backend/adjust", ...
+  std::uint64_t count = 0;
+  double median_ms = 0, p95_ms = 0, p99_ms = 0, total_s = 0;
+};
+
+/// Everything that a run leaves behind; what the output folder and the report are written from.
+struct RunResult {
+  Options options;  ///< as resolved
+  std::string device;
+  SourceInfo source;
+  SourceCounts counts;
+  std::vector<PoseEvent> events;  ///< one per frame, as they were published
+  Trajectory trajectory;          ///< every frame that has a pose, with all later corrections
+  std::shared_ptr<const MapSnapshot> map;
+  std::vector<DepthMap> depth_maps;
+  TriangleMesh mesh;
+  double voxel_size = 0;  ///< [map units]
+  std::vector<StageMetrics> stages;
+  double wall_s = 0;
+  std::uint64_t peak_memory_bytes = 0;
+  bool interrupted = false;          ///< stopped before the source ended: a partial result
+  std::vector<std::string> notes;    ///< anything the user should know, one sentence each
+};
+
+}  // namespace corvid
