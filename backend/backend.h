@@ -1,0 +1,55 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/tracks.h"
+#include "corvid/map.h"
+#include "corvid/options.h"
+#include "corvid/pose.h"
+
+namespace corvid {
+
+/// Poses and landmarks from tracks, frame by frame: two-view start, resection, triangulation,
+/// windowed bundle adjustment (algorithms.md, 6).
+///
+/// World frame: the camera frame of the keyframe that a map segment starts from; unit of length:
+/// the median depth of the starting landmarks seen from it. Scale is arbitrary.
+///
+/// Synchronous, one owner, not thread-safe; what it returns by shared_ptr is immutable and may
+/// cross threads. Results repeat bit for bit if threads == 1.
+class Backend {
+ public:
+  /// @param refine_intrinsics  estimate focal length and k1, k2 too: for cameras whose intrinsics
+  ///        come from EXIF or are a guess.
+  /// @param threads  of the window adjustment; 0: as many as the machine has cores.
+  Backend(const BackendOptions& options, bool refine_intrinsics, int threads);
+  ~Backend();
+  Backend(const Backend&) = delete;
+  Backend& operator=(const Backend&) = delete;
+
+  /// One frame in, one event out. Frames come in order of time; tracks.observations are sorted by
+  /// track; the keyframe flag is the frontend's. The image may be empty: only colours come from it.
+  /// After a keyframe map() and motion() are new; after any other frame motion() is.
+  PoseEvent add(const FrameTracks& tracks);
+  /// For the frontend's prediction of the next frame. Never null.
+  [[nodiscard]] std::shared_ptr<const MotionState> motion() const;
+  /// The newest published map. Never null; without keyframes while starting.
+  [[nodiscard]] std::shared_ptr<const MapSnapshot> map() const;
+  /// Adjusts the whole map once more (if options.final_adjustment) and publishes it.
+  void finish();
+  /// Every frame that has a pose, with all corrections that its reference keyframe got since.
+  /// Frames between the two starting keyframes are in it, although their events had no pose.
+  [[nodiscard]] Trajectory trajectory() const;
+  /// Wall time of the parts of the last add() that ran: "backend/start", "backend/resect",
+  /// "backend/triangulate", "backend/adjust" [ms].
+  [[nodiscard]] std::vector<std::pair<std::string, double>> last_timings_ms() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace corvid
