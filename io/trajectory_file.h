@@ -1,0 +1,35 @@
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "corvid/error.h"
+#include "corvid/pose.h"
+
+namespace corvid {
+
+enum class TrajectoryFormat { tum, kitti, euroc };
+
+struct TrajectoryReadOptions {
+  std::optional<TrajectoryFormat> format;  ///< empty: recognised by the columns
+  /// KITTI rows have no times: one time in seconds per row of this file; if empty, times.txt beside
+  /// the poses or one folder below them, where it has as many rows; otherwise row i is at i / rate.
+  std::string times_path;
+  double rate_hz = 10;  ///< of KITTI rows without times
+};
+
+/// Reads poses as `T_world_camera` in the order of time:
+///   TUM    `time tx ty tz qx qy qz qw`, time in seconds, blanks or commas between;
+///   KITTI  12 numbers, the upper 3x4 of the pose matrix, row by row;
+///   EuRoC  `time_ns, px, py, pz, qw, qx, qy, qz, ...`: the body's pose, as it stands in the file.
+/// Errors: not_found, io, corrupt (path:line; non-finite numbers, wrong column counts, quaternions
+/// that are zero, times that repeat or go back).
+[[nodiscard]] Expected<Trajectory> read_trajectory(const std::string& path,
+                                                   const TrajectoryReadOptions& options = {});
+
+/// Writes TUM format atomically: seconds with nine decimals, exact to the nanosecond; poses with 17
+/// significant digits.
+[[nodiscard]] Expected<void> write_trajectory(const std::string& path,
+                                              const Trajectory& trajectory);
+
+}  // namespace corvid
