@@ -1,0 +1,75 @@
+#!/usr/bin/env bash
+# Installs what is missing, builds, checks the formatting and runs the tests.
+#   ./test.sh                 every test of the release build
+#   ./test.sh --quick         without the tests labelled slow
+#   ./test.sh --label unit    only the tests with this label (unit, device, replay, slow)
+#   ./test.sh --sanitizers    also the address, undefined-behaviour and thread sanitizers' builds
+#   ./test.sh --extra         also installs colmap and npm, with which more checks run
+set -euo pipefail
+source "$(dirname "${BASH_SOURCE[0]}")/scripts/setup.sh"
+
+sanitizers=0 extra=0 select=()
+while [[ $# -gt 0 ]]; do
+  case $1 in
+    --quick) select+=(-LE slow) ;;
+    --label)
+      [[ $# -gt 1 ]] || die "--label takes the name of a label"
+      select+=(-L "^$2\$")
+      shift
+      ;;
+    --sanitizers) sanitizers=1 ;;
+    --extra) extra=1 ;;
+    -h | --help)
+      sed -n '2,/^set /{s/^# \{0,1\}//;/^set /d;p}' "${BASH_SOURCE[0]}"
+      exit 0
+      ;;
+    *) die "unknown argument $1 (./test.sh --help lists them)" ;;
+  esac
+  shift
+done
+
+check_format() {
+  step "format: clang-format"
+  command -v clang-format >/dev/null || die "clang-format is not installed"
+  local sources
+  mapfile -t sources < <(find "$root" -path "$root/build" -prune -o -path "$root/out" -prune \
+    -o -path "*/node_modules" -prune -o \( -name '*.h' -o -name '*.cpp' \) -print | sort)
+  [[ ${#sources[@]} -gt 0 ]] || die "no sources found under $root"
+  clang-format --dry-run --Werror "${sources[@]}" || die "run clang-format -i on the files above"
+}
+
+# run_tests PRESET: the tests of one build; the runner's closing lines are kept for the end.
+summary=()
+failed=0
+run_tests() {
+  local preset=$1 log status=0
+  log="$root/build/$preset-tests.log"
+  step "tests: preset $preset"
+  ctest --test-dir "$root/build/$preset" --parallel "$(nproc)" --output-on-failure \
+    --no-tests=error "${select[@]}" 2>&1 | tee "$log" || status=$?
+  [[ $status -eq 0 ]] || failed=1
+  summary+=("== $preset ==" "$(sed -n '/^[0-9]*% tests passed/,$p' "$log")")
+}
+
+install_packages "${packages_build[@]}" "${packages_test[@]}"
+[[ $extra -eq 0 ]] || install_packages "${packages_extra[@]}"
+check_format
+build release -DCORVID_TESTS=ON
+# Results must not hang on the user's settings; the tests keep their kernel cache in the build tree.
+export LC_ALL=C.UTF-8 XDG_CACHE_HOME="$root/build/test-cache"
+unset CORVID_DEVICE CORVID_KERNEL_DIR
+run_tests release
+if [[ $sanitizers -eq 1 ]]; then
+  suppressions="$root/cmake/sanitizers"
+  export ASAN_OPTIONS="detect_leaks=1:strict_string_checks=1:detect_stack_use_after_return=1"
+  export LSAN_OPTIONS="suppressions=$suppressions/leaks.txt:print_suppressions=0"
+  export UBSAN_OPTIONS="print_stacktrace=1:suppressions=$suppressions/undefined.txt"
+  export TSAN_OPTIONS="halt_on_error=1:second_deadlock_stack=1:suppressions=$suppressions/threads.txt"
+  for preset in asan-ubsan tsan; do
+    build "$preset"
+    run_tests "$preset"
+  done
+fi
+step "closing lines of the test runs"
+printf '%s\n' "${summary[@]}"
+exit "$failed"
