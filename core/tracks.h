@@ -14,7 +14,7 @@ namespace corvid {
 struct TrackObservation {
   TrackId track;
   Eigen::Vector2d pixel = Eigen::Vector2d::Zero();  ///< in the camera's own (distorted) image
-  float score = 0;     ///< NCC score of the match, 1 for a new feature
+  float score = 0;                                  ///< NCC score of the match, 1 for a new feature
   float sigma_px = 1;  ///< standard deviation of the position, from the shape of the peak
 };
 
@@ -30,6 +30,9 @@ struct FrameTracks {
 struct MotionState {
   /// Poses of the last two frames that have one, newest last; empty while starting or lost.
   std::vector<StampedPose> recent;
+  /// Poses of the recent keyframes, sorted by frame: templates are warped from the frame in which
+  /// they were cut. At least the keyframes of the adjusted window.
+  std::vector<std::pair<FrameId, Pose>> keyframes;
   /// Position of each live landmark in the world, sorted by track.
   std::vector<std::pair<TrackId, Eigen::Vector3d>> landmarks;
   /// Tracks that the backend found to be wrong since the last state; the frontend ends them.

@@ -1,0 +1,292 @@
+#include "corvid/engine.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <atomic>
+#include <exception>
+#include <opencv2/core/utility.hpp>
+#include <thread>
+#include <utility>
+
+#include "backend/backend.h"
+#include "core/clock.h"
+#include "core/log.h"
+#include "core/stopwatch.h"
+#include "engine/latest.h"
+#include "engine/metrics.h"
+#include "engine/queue.h"
+#include "frontend/frontend.h"
+#include "kernels/device.h"
+#include "mapping/mapper.h"
+
+namespace corvid {
+namespace {
+
+struct TimedFrame {
+  FramePtr frame;
+  std::int64_t entered_ns = 0;
+};
+struct TimedTracks {
+  FrameTracks tracks;
+  std::int64_t entered_ns = 0;
+};
+
+/// The backend's newest state for the frontend. Rejected tracks of states that the frontend never
+/// saw are carried over, so that none is lost.
+class MotionMailbox {
+ public:
+  void publish(std::shared_ptr<const MotionState> state) {
+    const std::lock_guard lock(mutex_);
+    pending_.insert(pending_.end(), state->rejected.begin(), state->rejected.end());
+    newest_ = std::move(state);
+  }
+  [[nodiscard]] std::shared_ptr<const MotionState> take() {
+    const std::lock_guard lock(mutex_);
+    if (!newest_ || newest_->rejected == pending_) {
+      pending_.clear();
+      return newest_;
+    }
+    auto merged = std::make_shared<MotionState>(*newest_);
+    merged->rejected = std::exchange(pending_, {});
+    return merged;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::shared_ptr<const MotionState> newest_;
+  std::vector<TrackId> pending_;
+};
+
+}  // namespace
+
+struct Engine::Impl {
+  Options options;
+  std::shared_ptr<Device> device;
+  int threads = 1;
+
+  /// One run's stages and what they share.
+  struct Run {
+    Impl& engine;
+    FrameSource& source;
+    EngineSinks sinks;
+    std::unique_ptr<Frontend> frontend;
+    std::unique_ptr<Backend> backend;
+    std::unique_ptr<Mapper> mapper;  // null if mapping is off
+    SteadyClock clock;
+    Metrics metrics;
+    MotionMailbox motion;
+    Latest<MapSnapshot> map;
+    RunResult result;
+
+    // Each stage is a plain function; the two ways to run them are below.
+    [[nodiscard]] FrameTracks track(const FramePtr& frame);
+    void estimate(const TimedTracks& tracks);
+    bool map_once(const MapSnapshot& snapshot);
+
+    std::optional<Error> run_inline(const std::stop_token& stop);
+    std::optional<Error> run_threads(const std::stop_token& stop);
+    void finish(bool interrupted);
+  };
+};
+
+Engine::Engine(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+Engine::~Engine() = default;
+
+Expected<std::unique_ptr<Engine>> Engine::create(const Options& options) {
+  if (const auto problems = options.validate(); !problems.empty())
+    return fail(ErrorCode::invalid_argument, fmt::format("{}", fmt::join(problems, "; ")),
+                "options", "`corvid options` lists every option with its range");
+  auto impl = std::make_unique<Impl>();
+  impl->options = options;
+  const int cores = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  impl->threads = options.threads > 0 ? options.threads : cores;
+  auto device = Device::open(options.device, impl->threads);
+  if (!device) return tl::unexpected(device.error());
+  impl->device = std::move(*device);
+  return std::unique_ptr<Engine>(new Engine(std::move(impl)));
+}
+
+FrameTracks Engine::Impl::Run::track(const FramePtr& frame) {
+  Stopwatch watch;
+  const auto state = motion.take();
+  FrameTracks tracks = frontend->process(frame, state.get());
+  metrics.add("frontend", watch.lap_ms());
+  metrics.add(frontend->last_timings_ms());
+  const FrontendCounts& counts = frontend->last_counts();
+  log().debug("frame {}: {} tracks sought, {} found, {} recovered, {} outliers, {} new{}",
+              frame->id.value, counts.before, counts.found, counts.recovered,
+              counts.epipolar_outliers, counts.added, tracks.keyframe ? ", keyframe" : "");
+  return tracks;
+}
+
+void Engine::Impl::Run::estimate(const TimedTracks& timed) {
+  Stopwatch watch;
+  PoseEvent event = backend->add(timed.tracks);
+  metrics.add("backend", watch.lap_ms());
+  metrics.add(backend->last_timings_ms());
+  motion.publish(backend->motion());
+  if (timed.tracks.keyframe) map.publish(backend->map());
+  event.latency_ms = static_cast<double>(clock.now_ns() - timed.entered_ns) * 1e-6;
+  metrics.add("latency", event.latency_ms);
+  log().debug("frame {}: {}{}{}, {} of {} tracks agree, {:.3f} px^2", event.frame.value,
+              to_string(event.state), event.reason.empty() ? "" : ": ", event.reason, event.inliers,
+              event.tracks, event.mse_px2);
+  if (sinks.pose) sinks.pose->on_pose(event);
+  result.events.push_back(std::move(event));
+}
+
+bool Engine::Impl::Run::map_once(const MapSnapshot& snapshot) {
+  Stopwatch watch;
+  const bool worked = mapper->step(snapshot);
+  if (worked) metrics.add("mapping", watch.lap_ms());
+  return worked;
+}
+
+std::optional<Error> Engine::Impl::Run::run_inline(const std::stop_token& stop) {
+  while (!stop.stop_requested()) {
+    auto frame = source.next(stop);
+    if (!frame) return frame.error();
+    if (!*frame) break;
+    const std::int64_t entered_ns = clock.now_ns();
+    const TimedTracks tracks{track(*frame), entered_ns};
+    estimate(tracks);
+    if (mapper && tracks.tracks.keyframe)
+      while (map_once(*map.get())) {
+      }
+  }
+  return std::nullopt;
+}
+
+std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop) {
+  const bool live = source.info().paced;
+  BoundedQueue<TimedFrame> frames(live ? 3 : 2,
+                                  live ? QueuePolicy::drop_oldest : QueuePolicy::block);
+  BoundedQueue<TimedTracks> tracks(1, QueuePolicy::block);
+
+  std::mutex failure_mutex;
+  std::optional<Error> source_error;
+  std::exception_ptr exception;
+  std::stop_source halt;
+  const std::stop_callback forward(stop, [&] { halt.request_stop(); });
+  const std::stop_token halted = halt.get_token();
+  // A stage that throws stops the others; the first exception comes out below.
+  const auto guarded = [&](auto&& stage) {
+    try {
+      stage();
+    } catch (...) {
+      const std::lock_guard lock(failure_mutex);
+      if (!exception) exception = std::current_exception();
+      halt.request_stop();
+    }
+  };
+
+  {
+    std::jthread capture([&] {
+      guarded([&] {
+        while (!halted.stop_requested()) {
+          auto frame = source.next(halted);
+          if (!frame) {
+            source_error = frame.error();
+            break;
+          }
+          if (!*frame || !frames.push({std::move(*frame), clock.now_ns()}, halted)) break;
+        }
+      });
+      frames.close();
+    });
+    std::jthread frontend_stage([&] {
+      guarded([&] {
+        while (auto timed = frames.pop(halted))
+          if (!tracks.push({track(timed->frame), timed->entered_ns}, halted)) break;
+      });
+      tracks.close();
+    });
+    std::jthread backend_stage([&] {
+      guarded([&] {
+        while (auto timed = tracks.pop(halted)) estimate(*timed);
+      });
+      map.close();
+    });
+    std::jthread mapping_stage([&] {
+      if (!mapper) return;
+      guarded([&] {
+        std::uint64_t seen = 0;
+        while (auto snapshot = map.wait(seen, halted))
+          while (!halted.stop_requested() && map_once(*snapshot)) snapshot = map.get();
+      });
+    });
+  }
+  result.counts.dropped = frames.dropped();
+  if (exception) std::rethrow_exception(exception);
+  return source_error;
+}
+
+void Engine::Impl::Run::finish(bool interrupted) {
+  Stopwatch watch;
+  if (!interrupted) {
+    backend->finish();
+    metrics.add("backend/finish", watch.lap_ms());
+  }
+  result.map = backend->map();
+  result.trajectory = backend->trajectory();
+  if (mapper) {
+    if (!interrupted) {
+      log().info("mapping: finishing what is left of {} keyframes", result.map->keyframes.size());
+      mapper->finish(*result.map);
+      metrics.add("mapping/finish", watch.lap_ms());
+    }
+    result.mesh = mapper->mesh();
+    result.voxel_size = mapper->voxel_size();
+    for (const auto& depth_map : mapper->depth_maps()) result.depth_maps.push_back(*depth_map);
+  }
+  const std::uint64_t dropped = result.counts.dropped;
+  result.counts = source.counts();
+  result.counts.dropped += dropped;
+  result.interrupted = interrupted;
+  result.stages = metrics.summary();
+  result.peak_memory_bytes = peak_memory_bytes();
+}
+
+Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
+                                const std::stop_token& stop) {
+  const SourceInfo& info = source.info();
+  cv::setNumThreads(impl_->threads);
+  auto frontend = Frontend::create(impl_->device, impl_->options.frontend, info.stills);
+  if (!frontend) return tl::unexpected(frontend.error());
+  std::unique_ptr<Mapper> mapper;
+  if (impl_->options.mapping.enabled) {
+    auto created = Mapper::create(impl_->device, impl_->options.mapping, sinks.mesh);
+    if (!created) return tl::unexpected(created.error());
+    mapper = std::move(*created);
+  }
+  auto backend = std::make_unique<Backend>(
+      impl_->options.backend, info.intrinsics != IntrinsicsOrigin::calibration, impl_->threads);
+  Impl::Run run{
+      *impl_, source, sinks, std::move(*frontend), std::move(backend), std::move(mapper), {}, {},
+      {},     {},     {}};
+  run.result.options = impl_->options;
+  run.result.device = impl_->device->info().name;
+  run.result.source = info;
+
+  const std::int64_t begin_ns = run.clock.now_ns();
+  std::optional<Error> error;
+  try {
+    // A paced source needs a thread of its own: frames come whether the engine is ready or not.
+    error = impl_->threads == 1 && !info.paced ? run.run_inline(stop) : run.run_threads(stop);
+    run.finish(stop.stop_requested() || error.has_value());
+  } catch (const DeviceFault& fault) {
+    error = Error{ErrorCode::device, fault.what(), impl_->device->info().name,
+                  "run `corvid doctor`; `--device cpu` uses the processor instead"};
+    run.mapper.reset();
+    run.finish(true);
+  }
+  if (error) {
+    if (run.result.trajectory.empty()) return tl::unexpected(*error);
+    run.result.notes.push_back("The run ended early: " + error->to_string());
+  }
+  run.result.wall_s = static_cast<double>(run.clock.now_ns() - begin_ns) * 1e-9;
+  return std::move(run.result);
+}
+
+}  // namespace corvid

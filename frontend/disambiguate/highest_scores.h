@@ -1,0 +1,11 @@
+#pragma once
+
+#include "frontend/disambiguate/match_sets.h"
+
+namespace corvid {
+
+/// Highest scores (thesis 4.4.3): accepts the best candidate of every point in M whose score over
+/// the second's exceeds `ratio` (tau_hsr), or which is alone.
+ModuleCounts accept_highest_scores(MatchSets& sets, double ratio);
+
+}  // namespace corvid

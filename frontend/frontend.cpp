@@ -1,0 +1,431 @@
+#include "frontend/frontend.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <optional>
+#include <unordered_set>
+
+#include "frontend/disambiguate/epipolar_constraint.h"
+#include "frontend/disambiguate/highest_scores.h"
+#include "frontend/epipolar.h"
+#include "frontend/predict.h"
+
+namespace corvid {
+namespace {
+
+constexpr int kMaxLevels = 6;
+constexpr int kMinLevelSidePx = 40;
+constexpr int kMaxMisses = 15;  // frames without a match until all tracks are given up
+constexpr int kMinFound = 8;    // fewer found tracks: the frame is a miss
+constexpr double kMinFoundShare = 0.1;
+
+int level_count(int width_px, int height_px) {
+  int levels = 1;
+  while (levels < kMaxLevels && (std::min(width_px, height_px) >> levels) >= kMinLevelSidePx)
+    ++levels;
+  return levels;
+}
+
+template <class T>
+T median(std::vector<T> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+/// Indices of the `k` points nearest to `x`, nearest first.
+std::vector<std::size_t> nearest(const std::vector<Eigen::Vector2d>& points,
+                                 const Eigen::Vector2d& x, std::size_t k) {
+  std::vector<std::size_t> order(points.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  k = std::min(k, points.size());
+  std::partial_sort(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(k), order.end(),
+                    [&](std::size_t a, std::size_t b) {
+                      const double da = (points[a] - x).squaredNorm();
+                      const double db = (points[b] - x).squaredNorm();
+                      return da != db ? da < db : a < b;
+                    });
+  order.resize(k);
+  return order;
+}
+
+/// Component-wise median displacement of the points nearest to `x`.
+Eigen::Vector2d neighbour_motion(const std::vector<Eigen::Vector2d>& points,
+                                 const std::vector<Eigen::Vector2d>& displacements,
+                                 const Eigen::Vector2d& x) {
+  std::vector<double> dx, dy;
+  for (std::size_t i : nearest(points, x, 7)) {
+    dx.push_back(displacements[i].x());
+    dy.push_back(displacements[i].y());
+  }
+  return {median(std::move(dx)), median(std::move(dy))};
+}
+
+}  // namespace
+
+Expected<std::unique_ptr<Frontend>> Frontend::create(std::shared_ptr<Device> device,
+                                                     const FrontendOptions& options, bool stills) {
+  auto pyramids = PyramidBuilder::create(device);
+  if (!pyramids) return tl::unexpected(pyramids.error());
+  auto corners = CornerDetector::create(device);
+  if (!corners) return tl::unexpected(corners.error());
+  auto matcher = NccMatcher::create(device);
+  if (!matcher) return tl::unexpected(matcher.error());
+  NccOptions ncc_options;
+  ncc_options.template_px = options.template_px;
+  if (const auto ready = matcher->prepare(ncc_options); !ready)
+    return tl::unexpected(ready.error());
+  return std::unique_ptr<Frontend>(new Frontend(options, stills, std::move(*pyramids),
+                                                std::move(*corners), std::move(*matcher)));
+}
+
+Frontend::Frontend(const FrontendOptions& options, bool stills, PyramidBuilder pyramids,
+                   CornerDetector corners, NccMatcher matcher)
+    : options_(options),
+      stills_(stills),
+      pyramids_(std::move(pyramids)),
+      corners_(std::move(corners)),
+      matcher_(std::move(matcher)),
+      search_(matcher_, options.template_px, options.peak_quality) {}
+
+FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) {
+  counts_ = {};
+  timings_.clear();
+  Stopwatch watch;
+  ++frame_count_;
+  ++frames_since_keyframe_;
+  const int width = frame->grey.width(), height = frame->grey.height();
+  auto anchor = std::make_shared<Anchor>();
+  anchor->pyramid = pyramids_.build(frame->grey, level_count(width, height), Lane::tracking);
+  anchor->frame = frame->id;
+  current_ = anchor;
+  timings_.emplace_back("frontend/pyramid", watch.lap_ms());
+
+  if (motion && !motion->rejected.empty()) {
+    const std::unordered_set<TrackId> rejected(motion->rejected.begin(), motion->rejected.end());
+    std::erase_if(tracks_, [&](const Track& track) { return rejected.contains(track.id); });
+  }
+  counts_.before = static_cast<int>(tracks_.size());
+
+  FrameTracks result;
+  result.frame = frame;
+  std::vector<SearchCandidate> found;
+  if (!tracks_.empty()) {
+    std::optional<ImageSimilarity> similarity;
+    const auto enough = [&] {
+      const auto n = std::count_if(found.begin(), found.end(), [](auto& f) { return f.score > 0; });
+      return n >= kMinFound && static_cast<double>(n) >= kMinFoundShare * counts_.before;
+    };
+    if (stills_) {
+      found.resize(tracks_.size());
+      similarity = align_images(matcher_, *previous_->pyramid, *current_->pyramid);
+      recover(*frame->camera, similarity->valid ? &*similarity : nullptr, found);
+      guide(found);
+    } else {
+      const auto queries = predict(*frame, motion);
+      found = search_.track(*current_->pyramid, queries, {2, 4, 2});
+      for (std::size_t i = 0; i < found.size(); ++i) {
+        tracks_[i].warp = queries[i].warp;
+        if (found[i].score < options_.min_score) found[i] = {};
+        counts_.found += found[i].score > 0;
+      }
+      recover(*frame->camera, nullptr, found);
+      if (!enough() && misses_ % 5 == 0) {
+        // Nothing is where it was: a jump of the camera, or frames that were lost.
+        similarity = align_images(matcher_, *previous_->pyramid, *current_->pyramid);
+        if (similarity->valid) {
+          found.assign(tracks_.size(), {});
+          recover(*frame->camera, &*similarity, found);
+          guide(found);
+        }
+      }
+    }
+    timings_.emplace_back("frontend/track", watch.lap_ms());
+    reject_outliers(*frame->camera, found);
+    timings_.emplace_back("frontend/epipolar", watch.lap_ms());
+
+    if (!enough()) {
+      // Keep the tracks for a while: the view may come back (a hand before the lens, a dark frame).
+      if (++misses_ <= kMaxMisses && !stills_) return result;
+      counts_.ended = counts_.before;
+      reset();
+    } else {
+      misses_ = 0;
+      std::vector<Track> alive;
+      alive.reserve(tracks_.size());
+      for (std::size_t i = 0; i < tracks_.size(); ++i) {
+        if (found[i].score <= 0) continue;
+        Track& track = tracks_[i];
+        track.velocity_px = found[i].pixel - track.pixel;
+        track.pixel = found[i].pixel;
+        result.observations.push_back(
+            {track.id, found[i].pixel, found[i].score, found[i].sigma_px});
+        alive.push_back(std::move(track));
+      }
+      counts_.ended = counts_.before - static_cast<int>(alive.size());
+      tracks_ = std::move(alive);
+    }
+  }
+
+  result.keyframe = stills_ || keyframe_due(*frame->camera);
+  if (result.keyframe) {
+    anchor->keyframe = true;
+    const std::size_t before = tracks_.size();
+    make_keyframe(*frame);
+    for (std::size_t i = before; i < tracks_.size(); ++i)
+      result.observations.push_back({tracks_[i].id, tracks_[i].pixel, 1.0F, 0.5F});
+    timings_.emplace_back("frontend/corners", watch.lap_ms());
+  }
+  previous_ = current_;
+  return result;
+}
+
+std::vector<SearchQuery> Frontend::predict(const Frame& frame, const MotionState* motion) {
+  const Camera& camera = *frame.camera;
+  std::vector<SearchQuery> queries(tracks_.size());
+  std::vector<bool> known(tracks_.size(), false);
+  std::vector<Eigen::Vector2d> at, moved;  // of the tracks with a landmark
+  std::vector<Eigen::Matrix2d> warps;
+  const auto pose = motion ? predict_pose(*motion, frame.time_ns) : std::nullopt;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    const Track& track = tracks_[i];
+    queries[i] = {track.anchor->pyramid, track.anchor_px, track.warp,
+                  track.pixel + (misses_ == 0 ? track.velocity_px : Eigen::Vector2d::Zero())};
+    if (!pose) continue;
+    const Eigen::Vector3d* p_world = find_landmark(*motion, track.id);
+    if (!p_world) continue;
+    const auto pixel = camera.project(pose->inverse() * *p_world);
+    if (!pixel) continue;
+    queries[i].predicted_px = *pixel;
+    if (const Pose* T_world_anchor = find_keyframe(*motion, track.anchor->frame))
+      if (const auto warp = predict_warp(camera, *T_world_anchor, *pose, *p_world))
+        queries[i].warp = *warp;
+    known[i] = true;
+    at.push_back(track.pixel);
+    moved.push_back(*pixel - track.pixel);
+  }
+  if (at.size() >= 7)
+    for (std::size_t i = 0; i < tracks_.size(); ++i)
+      if (!known[i])
+        queries[i].predicted_px = tracks_[i].pixel + neighbour_motion(at, moved, tracks_[i].pixel);
+  return queries;
+}
+
+void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
+                       std::vector<SearchCandidate>& found) {
+  std::vector<std::size_t> missing;
+  std::vector<Eigen::Vector2d> at, moved;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    if (found[i].score > 0) {
+      at.push_back(tracks_[i].pixel);
+      moved.push_back(found[i].pixel - tracks_[i].pixel);
+    } else {
+      missing.push_back(i);
+    }
+  }
+  if (missing.empty()) return;
+  // Templates from the last frame in which the tracks were seen: it looks most like this one.
+  std::vector<SearchQuery> queries;
+  for (std::size_t i : missing) {
+    SearchQuery query{previous_->pyramid, tracks_[i].pixel, Eigen::Matrix2d::Identity(),
+                      tracks_[i].pixel};
+    if (similarity) {
+      query.predicted_px = (*similarity)(tracks_[i].pixel);
+      query.warp = similarity->linear().inverse();
+    } else if (at.size() >= 7) {
+      query.predicted_px += neighbour_motion(at, moved, tracks_[i].pixel);
+    }
+    queries.push_back(query);
+  }
+  const bool bounded = !similarity && at.size() >= 7 && at.size() >= tracks_.size() / 2;
+  const int level = bounded ? 1 : std::min(3, current_->pyramid->levels() - 1);
+  const int radius = bounded ? 5 : 8;
+  const auto candidates = search_.candidates(*current_->pyramid, queries, level, radius);
+
+  MatchSets sets;
+  for (std::size_t k = 0; k < missing.size(); ++k) {
+    MatchSets::Point point;
+    const auto x_r = undistort_pixel(camera, tracks_[missing[k]].pixel);
+    point.x_r = x_r ? *x_r : tracks_[missing[k]].pixel;
+    if (x_r)
+      for (const SearchCandidate& candidate : candidates[k])
+        if (const auto x_t = undistort_pixel(camera, candidate.pixel)) {
+          point.candidates.push_back(candidate);
+          point.x_t.push_back(*x_t);
+        }
+    sets.points.push_back(std::move(point));
+  }
+  accept_highest_scores(sets, options_.ratio_highest_scores);
+  std::vector<Eigen::Vector2d> x_r, x_t;
+  for (const auto& point : sets.points)
+    if (point.accepted) {
+      x_r.push_back(point.x_r);
+      x_t.push_back(point.x_t[*point.accepted]);
+    }
+  // Positions are good to about half a pixel of the level.
+  const double tolerance_px = std::max(options_.max_epipolar_px, std::ldexp(0.75, level));
+  if (const auto geometry =
+          estimate_fundamental(x_r, x_t, tolerance_px, options_.seed + frame_count_);
+      geometry && geometry->inliers >= 16) {
+    reject_epipolar_outliers(sets, geometry->F, tolerance_px);
+    accept_epipolar(sets, geometry->F, 10.0, tolerance_px);
+  }
+
+  std::vector<SearchQuery> refined;
+  std::vector<std::size_t> slots;
+  for (std::size_t k = 0; k < missing.size(); ++k)
+    if (sets.points[k].accepted) {
+      refined.push_back(queries[k]);
+      refined.back().predicted_px = sets.points[k].candidates[*sets.points[k].accepted].pixel;
+      slots.push_back(missing[k]);
+    }
+  const auto matches = search_.track(*current_->pyramid, refined, {std::max(0, level - 1), 3, 2});
+  for (std::size_t k = 0; k < slots.size(); ++k) {
+    if (matches[k].score < options_.min_score) continue;
+    Track& track = tracks_[slots[k]];
+    found[slots[k]] = matches[k];
+    track.anchor = previous_;
+    track.anchor_px = track.pixel;
+    track.warp = refined[k].warp;
+    ++counts_.recovered;
+  }
+}
+
+void Frontend::guide(std::vector<SearchCandidate>& found) {
+  constexpr std::size_t kNeighbours = 8;
+  for (int round = 0; round < 2; ++round) {
+    std::vector<Eigen::Vector2d> from, to;
+    for (std::size_t i = 0; i < tracks_.size(); ++i)
+      if (found[i].score > 0) {
+        from.push_back(tracks_[i].pixel);
+        to.push_back(found[i].pixel);
+      }
+    if (from.size() < 2 * kNeighbours) return;
+    std::vector<SearchQuery> queries;
+    std::vector<std::size_t> slots;
+    for (std::size_t i = 0; i < tracks_.size(); ++i) {
+      if (found[i].score > 0) continue;
+      // Affinity of the neighbours by least squares around their centroid, held near a similarity
+      // by the spread of the points.
+      const auto close = nearest(from, tracks_[i].pixel, kNeighbours);
+      Eigen::Vector2d mean_from = Eigen::Vector2d::Zero(), mean_to = mean_from;
+      for (std::size_t k : close) {
+        mean_from += from[k] / static_cast<double>(close.size());
+        mean_to += to[k] / static_cast<double>(close.size());
+      }
+      Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero(), cross = covariance;
+      for (std::size_t k : close) {
+        covariance += (from[k] - mean_from) * (from[k] - mean_from).transpose();
+        cross += (to[k] - mean_to) * (from[k] - mean_from).transpose();
+      }
+      if (!(covariance.determinant() > 1.0)) continue;
+      const Eigen::Matrix2d affine = cross * covariance.inverse();
+      const double area = affine.determinant();
+      if (!(area > 0.4) || !(area < 2.5)) continue;
+      const Eigen::Vector2d predicted = affine * (tracks_[i].pixel - mean_from) + mean_to;
+      queries.push_back({previous_->pyramid, tracks_[i].pixel, affine.inverse(), predicted});
+      slots.push_back(i);
+    }
+    const auto matches = search_.track(*current_->pyramid, queries, {2, 4, 2});
+    for (std::size_t k = 0; k < slots.size(); ++k) {
+      if (matches[k].score < options_.min_score) continue;
+      Track& track = tracks_[slots[k]];
+      found[slots[k]] = matches[k];
+      track.anchor = previous_;
+      track.anchor_px = track.pixel;
+      track.warp = queries[k].warp;
+      ++counts_.recovered;
+    }
+  }
+}
+
+void Frontend::reject_outliers(const Camera& camera, std::vector<SearchCandidate>& found) {
+  std::vector<Eigen::Vector2d> x_r, x_t;
+  std::vector<std::size_t> slots;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    if (found[i].score <= 0) continue;
+    const auto x = undistort_pixel(camera, found[i].pixel);
+    if (!x || !camera.in_image(found[i].pixel)) {
+      found[i] = {};
+      continue;
+    }
+    x_r.push_back(tracks_[i].keyframe_px);
+    x_t.push_back(*x);
+    slots.push_back(i);
+  }
+  const auto geometry =
+      estimate_fundamental(x_r, x_t, options_.max_epipolar_px, options_.seed + frame_count_);
+  if (!geometry) return;
+  for (std::size_t k = 0; k < slots.size(); ++k)
+    if (!geometry->inlier[k]) {
+      found[slots[k]] = {};
+      ++counts_.epipolar_outliers;
+    }
+}
+
+bool Frontend::keyframe_due(const Camera& camera) const {
+  if (keyframe_tracks_ == 0 || tracks_.size() < 8) return true;
+  if (static_cast<double>(tracks_.size()) <
+      options_.keyframe_min_tracked * static_cast<double>(keyframe_tracks_))
+    return true;
+  std::vector<double> motion_px;
+  for (const Track& track : tracks_)
+    if (const auto x = undistort_pixel(camera, track.pixel))
+      motion_px.push_back((*x - track.keyframe_px).norm());
+  return !motion_px.empty() &&
+         median(std::move(motion_px)) > options_.keyframe_parallax * camera.width_px;
+}
+
+void Frontend::make_keyframe(const Frame& frame) {
+  const DeviceImage& image = current_->pyramid->level(0);
+  const double area = static_cast<double>(image.width_px) * image.height_px;
+  const double spacing_px = std::sqrt(area / options_.max_tracks);
+  std::vector<Eigen::Vector2f> occupied;
+  for (const Track& track : tracks_) occupied.push_back(track.pixel.cast<float>());
+  CornerOptions corner_options;
+  corner_options.quality = options_.corner_quality;
+  corner_options.kappa = options_.harris_kappa;
+  corner_options.cell_px = std::max(8, static_cast<int>(1.5 * spacing_px));
+  corner_options.max_per_cell = 3;
+  corner_options.max_count = std::max(0, options_.max_tracks - static_cast<int>(tracks_.size()));
+  corner_options.border_px = options_.template_px / 2 + 2;
+  corner_options.occupied = occupied;
+  corner_options.min_distance_px = std::max(4.0, 0.5 * spacing_px);
+  const auto corners = corners_.detect(image, corner_options);
+
+  for (Track& track : tracks_) {
+    const double scale = std::sqrt(std::abs(track.warp.determinant()));
+    if (stills_ || !track.anchor->keyframe || scale > 1.5 || scale < 0.67 ||
+        current_->frame.value - track.anchor->frame.value > 200) {
+      track.anchor = current_;
+      track.anchor_px = track.pixel;
+      track.warp = Eigen::Matrix2d::Identity();
+    }
+    if (const auto x = undistort_pixel(*frame.camera, track.pixel)) track.keyframe_px = *x;
+  }
+  for (const Corner& corner : corners) {
+    Track track;
+    track.pixel = Eigen::Vector2d(corner.x_px, corner.y_px);
+    const auto x = undistort_pixel(*frame.camera, track.pixel);
+    if (!x) continue;
+    track.id = TrackId(next_track_++);
+    track.velocity_px = Eigen::Vector2d::Zero();
+    track.keyframe_px = *x;
+    track.anchor = current_;
+    track.anchor_px = track.pixel;
+    tracks_.push_back(std::move(track));
+    ++counts_.added;
+  }
+  keyframe_tracks_ = tracks_.size();
+  frames_since_keyframe_ = 0;
+}
+
+void Frontend::reset() {
+  tracks_.clear();
+  keyframe_tracks_ = 0;
+  misses_ = 0;
+}
+
+}  // namespace corvid

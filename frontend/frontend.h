@@ -1,0 +1,102 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/stopwatch.h"
+#include "core/tracks.h"
+#include "corvid/error.h"
+#include "corvid/options.h"
+#include "frontend/align.h"
+#include "frontend/track_search.h"
+#include "kernels/corners.h"
+#include "kernels/device.h"
+#include "kernels/ncc.h"
+#include "kernels/pyramid.h"
+
+namespace corvid {
+
+/// What happened to the tracks of one frame.
+struct FrontendCounts {
+  int before = 0;             ///< tracks that were looked for
+  int found = 0;              ///< by the bounded search
+  int recovered = 0;          ///< by the wide search after it
+  int epipolar_outliers = 0;  ///< found, but against the geometry of the others
+  int ended = 0;              ///< tracks that are gone
+  int added = 0;              ///< new corners
+};
+
+/// Follows features from frame to frame by NCC against the keyframe in which each was cut.
+///
+/// Each frame: predict every track (from the backend's poses and landmarks where known, otherwise
+/// from the motion of its neighbours), search coarse to fine with a warped template, look more
+/// widely for what was not found, throw out what breaks the epipolar geometry to the last
+/// keyframe, decide on a keyframe, fill empty places with new corners. One owner; not thread-safe.
+class Frontend {
+ public:
+  /// @param stills  frames are photographs far apart: every one becomes a keyframe, and each pair
+  ///                is aligned from nothing.
+  [[nodiscard]] static Expected<std::unique_ptr<Frontend>> create(std::shared_ptr<Device> device,
+                                                                  const FrontendOptions& options,
+                                                                  bool stills);
+
+  /// @param motion  the backend's newest state; null if there is none yet.
+  /// @return the tracks seen in this frame. Empty if nothing of the last frames is seen any more.
+  /// Throws DeviceFault if the device fails.
+  [[nodiscard]] FrameTracks process(const FramePtr& frame, const MotionState* motion);
+
+  [[nodiscard]] const FrontendCounts& last_counts() const { return counts_; }
+  [[nodiscard]] const Timings& last_timings_ms() const { return timings_; }
+
+ private:
+  struct Anchor {
+    std::shared_ptr<const DevicePyramid> pyramid;
+    FrameId frame;
+    bool keyframe = false;
+  };
+  struct Track {
+    TrackId id;
+    Eigen::Vector2d pixel;        ///< in the last frame where it was found
+    Eigen::Vector2d velocity_px;  ///< last displacement between frames
+    Eigen::Vector2d keyframe_px;  ///< undistorted, in the last keyframe
+    std::shared_ptr<const Anchor> anchor;
+    Eigen::Vector2d anchor_px;
+    Eigen::Matrix2d warp = Eigen::Matrix2d::Identity();
+  };
+
+  Frontend(const FrontendOptions& options, bool stills, PyramidBuilder pyramids,
+           CornerDetector corners, NccMatcher matcher);
+
+  [[nodiscard]] std::vector<SearchQuery> predict(const Frame& frame, const MotionState* motion);
+  /// Looks for the tracks that were not found, around where their found neighbours went.
+  void recover(const Camera& camera, const ImageSimilarity* similarity,
+               std::vector<SearchCandidate>& found);
+  /// Re-searches what is missing with the affinity of the matched neighbours (stills).
+  void guide(std::vector<SearchCandidate>& found);
+  void reject_outliers(const Camera& camera, std::vector<SearchCandidate>& found);
+  [[nodiscard]] bool keyframe_due(const Camera& camera) const;
+  void make_keyframe(const Frame& frame);
+  void reset();
+
+  FrontendOptions options_;
+  bool stills_;
+  PyramidBuilder pyramids_;
+  CornerDetector corners_;
+  NccMatcher matcher_;
+  TrackSearch search_;
+
+  std::vector<Track> tracks_;               ///< by id
+  std::shared_ptr<const Anchor> previous_;  ///< the last frame in which the tracks were found
+  std::shared_ptr<const Anchor> current_;
+  std::size_t keyframe_tracks_ = 0;  ///< alive at the last keyframe
+  int frames_since_keyframe_ = 0;
+  int misses_ = 0;  ///< frames in a row in which nearly nothing was found
+  std::uint32_t next_track_ = 0;
+  std::uint64_t frame_count_ = 0;
+  FrontendCounts counts_;
+  Timings timings_;
+};
+
+}  // namespace corvid

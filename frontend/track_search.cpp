@@ -1,0 +1,131 @@
+#include "frontend/track_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace corvid {
+namespace {
+
+constexpr int kMaxRadiusPx = 16;
+
+/// For correlated noise of variance 1 - C against unit signal variance, the peak of a surface with
+/// curvature |H| wanders by about sqrt((1 - C) / |H|); the weaker axis decides.
+float position_sigma_px(const NccPeak& peak) {
+  const double mean = -0.5 * (peak.cxx + peak.cyy);
+  const double half_difference = 0.5 * (peak.cxx - peak.cyy);
+  const double weak = mean - std::hypot(half_difference, static_cast<double>(peak.cxy));
+  const double residual = std::max(1e-3, 1.0 - static_cast<double>(peak.score));
+  return static_cast<float>(std::clamp(std::sqrt(residual / std::max(weak, 1e-3)), 0.1, 4.0));
+}
+
+SearchCandidate to_candidate(const NccPeak& peak, int level) {
+  const double scale = std::ldexp(1.0, level);
+  return {Eigen::Vector2d(peak.x_px, peak.y_px) * scale, peak.score,
+          position_sigma_px(peak) * static_cast<float>(scale)};
+}
+
+/// Half the side of the square that holds the warped template.
+double warped_half_side(const Eigen::Matrix2d& warp, int template_px) {
+  return 0.5 * (template_px - 1) * warp.cwiseAbs().rowwise().sum().maxCoeff() + 1;
+}
+
+bool fits(const DeviceImage& image, const Eigen::Vector2d& pixel, double border_px) {
+  return pixel.x() >= border_px && pixel.y() >= border_px &&
+         pixel.x() <= image.width_px - 1 - border_px &&
+         pixel.y() <= image.height_px - 1 - border_px;
+}
+
+}  // namespace
+
+std::vector<NccResult> TrackSearch::match_level(const DevicePyramid& target,
+                                                std::span<const SearchQuery> queries,
+                                                std::span<const LevelJob> jobs, int level) {
+  std::vector<NccResult> results(jobs.size());
+  const double scale = std::ldexp(1.0, -level);
+  // One batch for each anchor image, in order of first appearance.
+  std::vector<const DevicePyramid*> anchors;
+  for (const LevelJob& job : jobs) {
+    const DevicePyramid* anchor = queries[job.query].anchor.get();
+    if (std::find(anchors.begin(), anchors.end(), anchor) == anchors.end())
+      anchors.push_back(anchor);
+  }
+  for (const DevicePyramid* anchor : anchors) {
+    std::vector<NccJob> batch;
+    std::vector<std::size_t> slots;
+    for (std::size_t i = 0; i < jobs.size(); ++i) {
+      const SearchQuery& query = queries[jobs[i].query];
+      if (query.anchor.get() != anchor) continue;
+      NccJob job{};
+      job.template_x_px = static_cast<float>(query.anchor_px.x() * scale);
+      job.template_y_px = static_cast<float>(query.anchor_px.y() * scale);
+      for (int k = 0; k < 4; ++k) job.warp[k] = static_cast<float>(query.warp(k / 2, k % 2));
+      job.window_x_px = static_cast<std::int32_t>(std::lround(jobs[i].predicted_px.x() * scale));
+      job.window_y_px = static_cast<std::int32_t>(std::lround(jobs[i].predicted_px.y() * scale));
+      job.radius_x_px = job.radius_y_px = jobs[i].radius_px;
+      batch.push_back(job);
+      slots.push_back(i);
+    }
+    NccOptions options;
+    options.template_px = template_px_;
+    options.peak_quality = peak_quality_;
+    const auto matched =
+        matcher_.match(anchor->level(level), target.level(level), batch, options, Lane::tracking);
+    for (std::size_t i = 0; i < slots.size(); ++i) results[slots[i]] = matched[i];
+  }
+  return results;
+}
+
+std::vector<SearchCandidate> TrackSearch::track(const DevicePyramid& target,
+                                                std::span<const SearchQuery> queries,
+                                                const SearchSchedule& schedule) {
+  const int first_level = std::min(schedule.first_level, target.levels() - 1);
+  std::vector<SearchCandidate> found(queries.size());
+  std::vector<Eigen::Vector2d> place(queries.size());
+  std::vector<bool> begun(queries.size(), false);
+  for (std::size_t i = 0; i < queries.size(); ++i) place[i] = queries[i].predicted_px;
+
+  for (int level = first_level; level >= 0; --level) {
+    const double scale = std::ldexp(1.0, -level);
+    std::vector<LevelJob> jobs;
+    for (std::size_t i = 0; i < queries.size(); ++i) {
+      if (!place[i].allFinite()) continue;
+      const double half = warped_half_side(queries[i].warp, template_px_);
+      if (!fits(queries[i].anchor->level(level), queries[i].anchor_px * scale, half)) continue;
+      if (!fits(target.level(level), place[i] * scale, 0.5 * template_px_)) continue;
+      int radius = schedule.refine_radius_px;
+      if (!begun[i]) {
+        radius = std::min(schedule.first_radius_px << (first_level - level), kMaxRadiusPx);
+        radius = std::max(radius, schedule.refine_radius_px);
+      }
+      jobs.push_back({i, place[i], radius});
+    }
+    const auto results = match_level(target, queries, jobs, level);
+    for (std::size_t j = 0; j < jobs.size(); ++j) {
+      const std::size_t i = jobs[j].query;
+      if (results[j].count == 0) continue;
+      const SearchCandidate candidate = to_candidate(results[j].peaks[0], level);
+      begun[i] = true;
+      place[i] = candidate.pixel;
+      if (level == 0) found[i] = candidate;
+    }
+  }
+  return found;
+}
+
+std::vector<std::vector<SearchCandidate>> TrackSearch::candidates(
+    const DevicePyramid& target, std::span<const SearchQuery> queries, int level, int radius_px) {
+  std::vector<LevelJob> jobs;
+  for (std::size_t i = 0; i < queries.size(); ++i)
+    if (queries[i].predicted_px.allFinite())
+      jobs.push_back({i, queries[i].predicted_px, radius_px});
+  const auto results = match_level(target, queries, jobs, level);
+  std::vector<std::vector<SearchCandidate>> candidates(queries.size());
+  for (std::size_t j = 0; j < jobs.size(); ++j)
+    for (int k = 0; k < results[j].count; ++k)
+      candidates[jobs[j].query].push_back(
+          to_candidate(results[j].peaks[static_cast<std::size_t>(k)], level));
+  return candidates;
+}
+
+}  // namespace corvid

@@ -1,0 +1,73 @@
+#include <gtest/gtest.h>
+
+#include "frontend/disambiguate/epipolar_constraint.h"
+#include "frontend/disambiguate/highest_scores.h"
+
+namespace corvid {
+namespace {
+
+MatchSets::Point point(Eigen::Vector2d x_r, std::vector<std::pair<Eigen::Vector2d, float>> found) {
+  MatchSets::Point p;
+  p.x_r = x_r;
+  for (const auto& [x, score] : found) {
+    p.candidates.push_back({x, score, 0.3F});
+    p.x_t.push_back(x);
+  }
+  return p;
+}
+
+/// A pure sideways motion of a pinhole: epipolar lines are image rows.
+Eigen::Matrix3d rows_geometry() {
+  Eigen::Matrix3d F;
+  F << 0, 0, 0, 0, 0, -1, 0, 1, 0;
+  return F;
+}
+
+TEST(HighestScores, AcceptsTheOneThatStandsOutAndAbstainsOnRepeatedPatterns) {
+  MatchSets sets;
+  sets.points = {point({10, 10}, {{{12, 10}, 0.95F}, {{80, 10}, 0.80F}}),
+                 point({20, 10}, {{{22, 10}, 0.95F}, {{90, 10}, 0.93F}}),  // identical windows
+                 point({30, 10}, {{{31, 10}, 0.90F}}), point({40, 10}, {})};
+  const ModuleCounts counts = accept_highest_scores(sets, 1.1);
+  EXPECT_EQ(counts.in, 3);
+  EXPECT_EQ(counts.accepted, 2);
+  EXPECT_EQ(sets.points[0].accepted, 0U);
+  EXPECT_FALSE(sets.points[1].accepted);
+  EXPECT_EQ(sets.points[2].accepted, 0U);
+  EXPECT_FALSE(sets.points[3].accepted);
+  EXPECT_EQ(accept_highest_scores(sets, 1.1).accepted, 0);  // nothing new: the loop may end
+}
+
+TEST(EpipolarConstraint, ChoosesTheCandidateOnTheLineOnlyIfTheOthersAreFarFromIt) {
+  MatchSets sets;
+  sets.points = {point({10, 10}, {{{50, 30}, 0.95F}, {{20, 10.05}, 0.94F}}),
+                 point({10, 20}, {{{50, 20.1}, 0.95F}, {{90, 20.15}, 0.94F}}),  // both on the line
+                 point({10, 30}, {{{15, 30.1}, 0.90F}}), point({10, 40}, {{{15, 45}, 0.90F}})};
+  const ModuleCounts counts = accept_epipolar(sets, rows_geometry(), 10, 0.2);
+  EXPECT_EQ(counts.in, 4);
+  EXPECT_EQ(counts.accepted, 2);
+  EXPECT_EQ(sets.points[0].accepted, 1U);
+  EXPECT_FALSE(sets.points[1].accepted);
+  EXPECT_EQ(sets.points[2].accepted, 0U);
+  EXPECT_FALSE(sets.points[3].accepted);
+}
+
+TEST(EpipolarConstraint, AnOutlierThrownBackHasLostItsMatch) {
+  MatchSets sets;
+  sets.points = {point({10, 10}, {{{20, 14}, 0.95F}, {{30, 10}, 0.7F}}),
+                 point({10, 20}, {{{20, 20.1}, 0.95F}})};
+  accept_highest_scores(sets, 1.1);
+  ASSERT_TRUE(sets.points[0].accepted && sets.points[1].accepted);
+  const ModuleCounts counts = reject_epipolar_outliers(sets, rows_geometry(), 0.5);
+  EXPECT_EQ(counts.in, 2);
+  EXPECT_EQ(counts.rejected, 1);
+  EXPECT_FALSE(sets.points[0].accepted);
+  ASSERT_EQ(sets.points[0].candidates.size(), 1U);
+  EXPECT_FLOAT_EQ(sets.points[0].candidates[0].score, 0.7F);
+  EXPECT_TRUE(sets.points[1].accepted);
+  // The remaining candidate may now be taken by the geometry.
+  EXPECT_EQ(accept_epipolar(sets, rows_geometry(), 10, 0.5).accepted, 1);
+}
+
+}  // namespace
+}  // namespace corvid
