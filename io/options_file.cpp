@@ -5,13 +5,12 @@
 
 #include <charconv>
 #include <cmath>
-#include <fstream>
-#include <iterator>
 #include <set>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "io/atomic_file.h"
 #include "io/nearest_name.h"
 
 namespace corvid {
@@ -221,18 +220,13 @@ Expected<Options> parse_options(const std::string& yaml, const std::string& wher
 }
 
 Expected<Options> read_options_file(const std::filesystem::path& path, const Options& base) {
-  std::error_code ignored;
-  if (!std::filesystem::exists(path, ignored)) {
-    return fail(ErrorCode::not_found, "there is no such options file", path.string(),
-                "`corvid options > FILE` writes one to start from");
+  auto text = read_file_bytes(path);
+  if (!text) {
+    Error error = text.error();
+    if (error.hint.empty()) error.hint = "`corvid options > FILE` writes one to start from";
+    return tl::unexpected(error);
   }
-  std::ifstream file(path, std::ios::binary);
-  if (std::filesystem::is_directory(path, ignored) || !file) {
-    return fail(ErrorCode::io, "the options file cannot be read", path.string(),
-                "check that it is a file and may be read");
-  }
-  const std::string text{std::istreambuf_iterator<char>(file), {}};
-  return parse_options(text, path.string(), base);
+  return parse_options(*text, path.string(), base);
 }
 
 std::string options_to_yaml(const Options& options) {
@@ -258,14 +252,7 @@ std::string options_to_yaml(const Options& options) {
 }
 
 Expected<void> write_options_file(const std::filesystem::path& path, const Options& options) {
-  std::ofstream file(path, std::ios::binary | std::ios::trunc);
-  file << options_to_yaml(options);
-  file.close();
-  if (!file) {
-    return fail(ErrorCode::io, "the options cannot be written", path.string(),
-                "check that the folder exists, may be written, and that the disk has room");
-  }
-  return {};
+  return write_file_atomically(path, options_to_yaml(options));
 }
 
 }  // namespace corvid

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <functional>
+
+#include "apps/program.h"
+#include "corvid/error.h"
+
+namespace CLI {
+class App;
+}
+
+namespace corvid {
+
+/// What runs when its subcommand was chosen and its arguments are parsed.
+using Action = std::function<Expected<ExitCode>(Context&)>;
+
+/// Each adds one subcommand with its arguments, help and examples (one file per command).
+Action add_replay_command(CLI::App& app);
+Action add_info_command(CLI::App& app);
+Action add_export_command(CLI::App& app);
+Action add_eval_command(CLI::App& app);
+Action add_record_command(CLI::App& app);
+Action add_doctor_command(CLI::App& app);
+Action add_demo_command(CLI::App& app);
+Action add_options_command(CLI::App& app);
+
+}  // namespace corvid

@@ -1,0 +1,197 @@
+#include "apps/program.h"
+
+#include <fmt/format.h>
+#include <spdlog/logger.h>
+#include <spdlog/sinks/null_sink.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <clocale>
+#include <exception>
+#include <iostream>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "apps/command_list.h"
+#include "apps/talk.h"
+#include "core/log.h"
+#include "io/nearest_name.h"
+
+namespace corvid {
+namespace {
+
+constexpr const char* kFooter = R"(
+Examples:
+  corvid demo                                   fly the synthetic flight, write a report
+  corvid info ~/data/MH_05                      what is it, and can it be read?
+  corvid replay ~/data/MH_05 --out run          trajectory, map, mesh and report into run/
+  corvid replay synthetic:seed=3 --out run --json | jq .state
+  corvid export run --format ply                the mesh for MeshLab or CloudCompare
+  corvid eval run/trajectory.txt ~/data/MH_05   error against the truth
+
+Environment:
+  CORVID_DEVICE      OpenCL device, as --device takes it
+  CORVID_KERNEL_DIR  reads the OpenCL kernels from this folder (for kernel development)
+  XDG_CACHE_HOME     where compiled kernels are kept (default ~/.cache)
+  POCL_CACHE_DIR     where PoCL, the CPU's OpenCL, keeps its own
+  OCL_ICD_VENDORS    which OpenCL drivers are seen
+
+Exit codes:
+  0 done   1 unexpected failure   2 wrong arguments   3 not found
+  4 corrupt or unsupported input   5 no usable OpenCL device
+  6 the run ended without a single pose   130 interrupted, what there was is saved
+)";
+
+// The talk of one run; the library falls silent again at its end, so that nothing refers to the
+// streams of a caller that is gone.
+class TalkGuard {
+ public:
+  TalkGuard(std::ostream& err, spdlog::level::level_enum level) {
+    auto logger = std::make_shared<spdlog::logger>("corvid", std::make_shared<Talk>(err));
+    logger->set_level(level);
+    set_logger(std::move(logger));
+  }
+  ~TalkGuard() {
+    set_logger(std::make_shared<spdlog::logger>("corvid",
+                                                std::make_shared<spdlog::sinks::null_sink_mt>()));
+  }
+  TalkGuard(const TalkGuard&) = delete;
+  TalkGuard& operator=(const TalkGuard&) = delete;
+};
+
+const CLI::App* chosen(const CLI::App& app) {
+  const auto parsed = app.get_subcommands();
+  return parsed.empty() ? nullptr : parsed.front();
+}
+
+// What an argument that nobody expected probably meant.
+std::string unexpected_argument(const CLI::App& app, const std::string& argument) {
+  std::vector<std::string> known;
+  const CLI::App* command = chosen(app);
+  const bool option = argument.starts_with("-");
+  const std::string name = argument.substr(0, argument.find('='));
+  if (option) {
+    for (const CLI::App* owner : {&app, command}) {
+      if (owner == nullptr) continue;
+      for (const CLI::Option* o : owner->get_options()) {
+        for (const std::string& l : o->get_lnames()) known.push_back("--" + l);
+        for (const std::string& s : o->get_snames()) known.push_back("-" + s);
+      }
+    }
+  } else if (command == nullptr) {
+    for (const CLI::App* sub : app.get_subcommands([](const CLI::App*) { return true; })) {
+      known.push_back(sub->get_name());
+    }
+  }
+  const char* kind = option ? "option" : command == nullptr ? "command" : "argument";
+  std::string hint = nearest_hint(name, known);
+  if (hint.empty()) {
+    hint = fmt::format("`corvid{} --help` lists them",
+                       command == nullptr ? "" : " " + command->get_name());
+  }
+  return fmt::format("unknown {} {} ({})", kind, argument, hint);
+}
+
+ExitCode usage(const CLI::App& app, const CLI::ParseError& error, Context& context) {
+  const auto extras = app.remaining(true);
+  const CLI::App* command = chosen(app);
+  if (!extras.empty()) {
+    context.err << "error: " << unexpected_argument(app, extras.front()) << "\n";
+  } else {
+    const std::string name = command == nullptr ? "" : " " + command->get_name();
+    context.err << fmt::format("error: {} (`corvid{} --help` shows how it is used)\n", error.what(),
+                               name);
+  }
+  return ExitCode::usage;
+}
+
+ExitCode run(int argc, const char* const* argv, Context& context) {
+  CLI::App app{"Corvid: camera images in; trajectory, map and mesh out.", "corvid"};
+  app.set_version_flag("--version", "corvid " CORVID_VERSION);
+  app.footer(kFooter);
+  app.require_subcommand(1);
+  app.fallthrough();
+  int verbose = 0;
+  app.add_flag("-v,--verbose", verbose, "More talk; -vv for everything");
+  app.add_flag("-q,--quiet", context.quiet, "Warnings and errors only");
+
+  std::vector<std::pair<const CLI::App*, Action>> commands;
+  for (auto* add :
+       {add_demo_command, add_replay_command, add_info_command, add_export_command,
+        add_eval_command, add_record_command, add_doctor_command, add_options_command}) {
+    Action action = add(app);
+    commands.emplace_back(app.get_subcommands([](const CLI::App*) { return true; }).back(),
+                          std::move(action));
+  }
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& help) {
+    app.exit(help, context.out, context.err);
+    return ExitCode::ok;
+  } catch (const CLI::ParseError& error) {
+    return usage(app, error, context);
+  }
+
+  using Level = spdlog::level::level_enum;
+  const TalkGuard talk(context.err, context.quiet  ? Level::warn
+                                    : verbose == 0 ? Level::info
+                                    : verbose == 1 ? Level::debug
+                                                   : Level::trace);
+  for (const auto& [command, action] : commands) {
+    if (!command->parsed()) continue;
+    const auto result = action(context);
+    context.out.flush();
+    if (!result) {
+      log().error("{}", result.error().to_string());
+      return exit_code(result.error().code);
+    }
+    if (!context.out) {
+      log().error("the results cannot be written to the standard output");
+      return ExitCode::failure;
+    }
+    return *result;
+  }
+  return ExitCode::usage;
+}
+
+}  // namespace
+
+ExitCode exit_code(ErrorCode code) {
+  switch (code) {
+    case ErrorCode::invalid_argument:
+      return ExitCode::usage;
+    case ErrorCode::not_found:
+      return ExitCode::not_found;
+    case ErrorCode::corrupt:
+    case ErrorCode::unsupported:
+      return ExitCode::bad_input;
+    case ErrorCode::device:
+      return ExitCode::device;
+    case ErrorCode::interrupted:
+      return ExitCode::interrupted;
+    case ErrorCode::io:
+      return ExitCode::failure;
+  }
+  return ExitCode::failure;
+}
+
+int run_program(int argc, const char* const* argv, Context context) {
+  try {
+    return static_cast<int>(run(argc, argv, context));
+  } catch (const std::exception& error) {
+    context.err << fmt::format("error: this is a bug in corvid {}, please report it: {}\n",
+                               CORVID_VERSION, error.what());
+  } catch (...) {
+    context.err << "error: this is a bug in corvid " CORVID_VERSION ", please report it\n";
+  }
+  return static_cast<int>(ExitCode::failure);
+}
+
+int run_program(int argc, const char* const* argv) {
+  const bool terminal = isatty(STDERR_FILENO) == 1;
+  return run_program(argc, argv, Context{std::cout, std::cerr, terminal, false});
+}
+
+}  // namespace corvid

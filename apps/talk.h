@@ -1,0 +1,29 @@
+#pragma once
+
+#include <spdlog/sinks/base_sink.h>
+
+#include <mutex>
+#include <ostream>
+#include <string>
+
+namespace corvid {
+
+/// The one way to the terminal's error stream: log lines, and below them at most one progress line
+/// that is redrawn in place. Thread-safe.
+class Talk final : public spdlog::sinks::base_sink<std::mutex> {
+ public:
+  explicit Talk(std::ostream& err) : err_(err) {}
+  /// Replaces the progress line; an empty one removes it.
+  void progress(const std::string& line);
+
+ protected:
+  void sink_it_(const spdlog::details::log_msg& message) override;
+  void flush_() override;
+
+ private:
+  void erase_line();
+  std::ostream& err_;
+  std::string line_;
+};
+
+}  // namespace corvid
