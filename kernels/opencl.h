@@ -1,0 +1,8 @@
+#pragma once
+
+// The one place that configures the OpenCL C++ bindings: every file of the engine sees them alike.
+#define CL_HPP_ENABLE_EXCEPTIONS
+#define CL_HPP_MINIMUM_OPENCL_VERSION 120
+#define CL_HPP_TARGET_OPENCL_VERSION 120
+#define CL_TARGET_OPENCL_VERSION 120
+#include <CL/opencl.hpp>
