@@ -1,6 +1,7 @@
 #include "core/lens.h"
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <numbers>
@@ -9,6 +10,9 @@ namespace corvid::lens {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
+// Pinhole and radtan end here (1e-6 rad before 90 degrees), far beyond any lens, so that nothing
+// overflows.
+constexpr double kMaxTangent = 1e6;
 // Below it the FOV model is a pinhole to within omega^2 (x^2 + y^2) / 3 < 1e-10.
 constexpr double kMinOmega_rad = 1e-5;
 
@@ -48,6 +52,40 @@ bool positive_up_to(std::array<double, 5> c, double end) {
 
 namespace {
 
+// f(a) = a (1 + c0 a^2 + c1 a^4 + c2 a^6 + c3 a^8), of the radius (radtan) or the angle
+// (equidistant).
+using Odd = std::array<double, 4>;
+
+double odd_value(const Odd& c, double a) {
+  const double x = a * a;
+  return a * (1 + x * (c[0] + x * (c[1] + x * (c[2] + x * c[3]))));
+}
+double odd_slope(const Odd& c, double a) {
+  const double x = a * a;
+  return 1 + x * (3 * c[0] + x * (5 * c[1] + x * (7 * c[2] + x * 9 * c[3])));
+}
+bool odd_monotonic(const Odd& c, double a) {
+  return positive_up_to(std::array{1.0, 3 * c[0], 5 * c[1], 7 * c[2], 9 * c[3]}, a * a);
+}
+
+/// Solves f(a) = target for a in [0, limit] below the fold, by Newton kept in a bracket that
+/// bisection halves.
+bool odd_invert(const Odd& c, double target, double limit, double& a) {
+  double low = 0, high = limit;
+  a = std::min(target, limit);
+  for (int i = 0; i < 200; ++i) {
+    const bool valid = odd_monotonic(c, a);
+    const double error = valid ? odd_value(c, a) - target : 0;
+    if (valid && std::abs(error) <= 1e-15 * (1 + target)) return true;
+    (!valid || error > 0 ? high : low) = a;
+    double next = valid ? a - error / odd_slope(c, a) : low;
+    if (!(next > low && next < high)) next = 0.5 * (low + high);
+    if (next == a) break;
+    a = next;
+  }
+  return odd_monotonic(c, a) && std::abs(odd_value(c, a) - target) <= 1e-11 * (1 + target);
+}
+
 // ---- pinhole and radtan: distortion on the plane z = 1 ----
 
 /// Distorted (x, y) and its 2x2 Jacobian. False where the map from the centre has folded.
@@ -73,7 +111,7 @@ bool project_plane(const Distortion* k, const Eigen::Vector3d& p, bool with_dist
   const double iz = 1 / p.z(), x = p.x() * iz, y = p.y() * iz;
   Eigen::Matrix2d J = Eigen::Matrix2d::Identity();
   out.xy = {x, y};
-  if (!out.xy.allFinite()) return false;
+  if (!(out.xy.squaredNorm() < kMaxTangent * kMaxTangent)) return false;
   if (k && !radtan(*k, {x, y}, out.xy, J)) return false;
   out.d_point.leftCols<2>() = J * iz;
   out.d_point.col(2) = -(J * Eigen::Vector2d(x, y)) * iz;
@@ -88,13 +126,17 @@ bool project_plane(const Distortion* k, const Eigen::Vector3d& p, bool with_dist
   return true;
 }
 
-/// Newton's method with halved steps: a step counts only if it stays in the unfolded part (which
-/// holds the centre) and brings the residual down.
+/// The radial part alone gives the start; then Newton's method with halved steps: a step counts
+/// only if it stays in the unfolded part (which holds the centre) and brings the residual down.
 bool undistort_radtan(const Distortion& k, const Eigen::Vector2d& target, Eigen::Vector2d& m,
                       Eigen::Matrix2d& J) {
-  const double size = 1 + target.norm();
+  const double target_radius = target.norm(), size = 1 + target_radius;
   Eigen::Vector2d value;
   m = target;
+  double radius = 0;
+  if (target_radius > 0 && odd_invert({k[0], k[1], k[4], 0}, target_radius, kMaxTangent, radius)) {
+    m *= radius / target_radius;
+  }
   for (int i = 0; !radtan(k, m, value, J); ++i) {
     if (i == 60) return false;
     m *= 0.7;
@@ -125,6 +167,7 @@ bool unproject_plane(const Distortion* k, const Eigen::Vector2d& xy, Ray& out) {
   Eigen::Vector2d m = xy;
   Eigen::Matrix2d J = Eigen::Matrix2d::Identity();
   if (k && !undistort_radtan(*k, xy, m, J)) return false;
+  if (!(m.squaredNorm() < kMaxTangent * kMaxTangent)) return false;
   const Eigen::Vector3d v(m.x(), m.y(), 1);
   const double n = v.norm();
   out.direction = v / n;
@@ -136,17 +179,6 @@ bool unproject_plane(const Distortion* k, const Eigen::Vector2d& xy, Ray& out) {
 
 // ---- equidistant and FOV: the distorted radius is a function of the angle from the axis ----
 
-double theta_slope(const Distortion& k, double t2) {
-  return 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])));
-}
-double theta_distorted(const Distortion& k, double theta) {
-  const double t2 = theta * theta;
-  return theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))));
-}
-bool theta_monotonic(const Distortion& k, double t2) {
-  return positive_up_to(std::array{1.0, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]}, t2);
-}
-
 bool project_radial(CameraModel model, const Distortion& k, const Eigen::Vector3d& p,
                     bool with_distortion, Projection& out) {
   const double r2 = p.x() * p.x() + p.y() * p.y(), r = std::sqrt(r2), z = p.z();
@@ -157,10 +189,11 @@ bool project_radial(CameraModel model, const Distortion& k, const Eigen::Vector3
   double radius, by_r, by_z, on_axis = 1;
   std::array<double, 5> by_distortion{};
   if (model == CameraModel::equidistant) {
+    const Odd c{k[0], k[1], k[2], k[3]};
     const double theta = std::atan2(r, z), t2 = theta * theta;
-    if (!theta_monotonic(k, t2)) return false;
-    radius = theta_distorted(k, theta);
-    const double slope = theta_slope(k, t2) / (r2 + z * z);
+    if (!odd_monotonic(c, theta)) return false;
+    radius = odd_value(c, theta);
+    const double slope = odd_slope(c, theta) / (r2 + z * z);
     by_r = slope * z;
     by_z = -slope * r;
     double power = theta;
@@ -188,30 +221,13 @@ bool project_radial(CameraModel model, const Distortion& k, const Eigen::Vector3
   return true;
 }
 
-/// Solves theta_distorted(theta) = radius by Newton, kept in a bracket that bisection halves.
-bool invert_theta(const Distortion& k, double radius, double& theta) {
-  double low = 0, high = kPi;
-  theta = std::min(radius, kPi);
-  for (int i = 0; i < 100; ++i) {
-    const bool valid = theta_monotonic(k, theta * theta);
-    const double error = valid ? theta_distorted(k, theta) - radius : 0;
-    if (valid && std::abs(error) <= 1e-15 * (1 + radius)) return true;
-    (!valid || error > 0 ? high : low) = theta;
-    double next = valid ? theta - error / theta_slope(k, theta * theta) : low;
-    if (!(next > low && next < high)) next = 0.5 * (low + high);
-    if (next == theta || high - low < 1e-16) break;
-    theta = next;
-  }
-  return theta_monotonic(k, theta * theta) &&
-         std::abs(theta_distorted(k, theta) - radius) <= 1e-11 * (1 + radius);
-}
-
 bool unproject_radial(CameraModel model, const Distortion& k, const Eigen::Vector2d& xy, Ray& out) {
   const double radius = xy.norm();
   double theta, by_radius;
   if (model == CameraModel::equidistant) {
-    if (!invert_theta(k, radius, theta)) return false;
-    by_radius = 1 / theta_slope(k, theta * theta);
+    const Odd c{k[0], k[1], k[2], k[3]};
+    if (!odd_invert(c, radius, kPi, theta)) return false;
+    by_radius = 1 / odd_slope(c, theta);
   } else {
     const double omega = k[0], m = 2 * std::tan(omega / 2), alpha = omega * radius;
     if (!(alpha < kPi)) return false;
