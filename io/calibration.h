@@ -1,10 +1,12 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "corvid/camera.h"
 #include "corvid/error.h"
+#include "corvid/pose.h"
 
 namespace corvid {
 
@@ -14,6 +16,7 @@ struct Calibration {
   std::string
       format;  ///< "Kalibr camchain", "OpenCV", "ROS camera_info", "COLMAP cameras.txt", ...
   std::vector<std::string> notes;
+  std::optional<Pose> T_body_camera;  ///< camera in the body or IMU frame, where the file says it
 };
 
 /// Reads a camera from a file whose format is recognised by its content: Kalibr camchain (cam0),

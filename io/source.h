@@ -13,7 +13,8 @@ namespace corvid {
 struct SourceOptions {
   /// Camera calibration file, instead of what lies beside the images (see read_calibration()).
   std::string calibration_path;
-  /// Frame rate [Hz], instead of the source's own times: frame i comes at i / rate_hz.
+  /// Frame rate [Hz], instead of the source's own times: image i of the whole source, counted from
+  /// 0, comes at i / rate_hz.
   std::optional<double> rate_hz;
   int first = 0;       ///< images left out at the start
   int count = -1;      ///< images taken after that; negative: all

@@ -12,8 +12,9 @@ enum class TrajectoryFormat { tum, kitti, euroc };
 
 struct TrajectoryReadOptions {
   std::optional<TrajectoryFormat> format;  ///< empty: recognised by the columns
-  /// KITTI rows have no times: one time in seconds per row of this file; if empty, times.txt beside
-  /// the poses or one folder below them, where it has as many rows; otherwise row i is at i / rate.
+  /// KITTI rows have no times. One time in seconds per row of this file; if empty, times.txt beside
+  /// the poses or ../sequences/NN/times.txt for poses/NN.txt, where it has at least as many rows;
+  /// otherwise row i is at i / rate_hz.
   std::string times_path;
   double rate_hz = 10;  ///< of KITTI rows without times
 };
