@@ -1,0 +1,48 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "apps/evaluation.h"
+#include "apps/surface_errors.h"
+#include "corvid/error.h"
+#include "corvid/run_result.h"
+
+namespace corvid {
+
+/// What a run's folder is written from.
+struct RunReportInput {
+  const RunResult& result;
+  std::optional<TrajectoryErrors> trajectory_errors;  ///< if there is a true trajectory
+  std::optional<SurfaceErrors> surface_errors;        ///< if there is a true surface
+  std::string version;
+  std::string command_line;
+};
+
+/// Raw depth maps and previews are written for at most so many keyframes, evenly spread.
+inline constexpr std::size_t kMaxDepthFiles = 40;
+
+/// Whether a run may write its folder there: asked before a long run. Errors as write_run_folder().
+[[nodiscard]] Expected<void> check_run_folder(const std::filesystem::path& dir);
+
+/// Writes trajectory.txt, keyframes.txt, points.ply, mesh.drc, mesh.glb, colmap/, depth/,
+/// options.yaml, run.json and report.html (docs/formats.md). What the run did not produce (no mesh,
+/// no map) is left out. The folder appears whole or not at all; one that an earlier run wrote
+/// (known by its run.json) is replaced.
+/// Errors: invalid_argument if `dir` holds somebody else's things; io.
+[[nodiscard]] Expected<void> write_run_folder(const RunReportInput& input,
+                                              const std::filesystem::path& dir);
+
+/// The mesh of a finished run's folder; empty if the run made none.
+/// Errors: not_found if this is no run's folder; io, corrupt.
+[[nodiscard]] Expected<TriangleMesh> load_run_mesh(const std::filesystem::path& dir);
+
+/// Copies a finished run's COLMAP model and images to `out` (a new or empty folder).
+/// Errors: not_found if this is no run's folder or it has no COLMAP model; invalid_argument if
+/// `out` holds anything; io.
+[[nodiscard]] Expected<void> copy_run_colmap(const std::filesystem::path& dir,
+                                             const std::filesystem::path& out);
+
+}  // namespace corvid
