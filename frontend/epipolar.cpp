@@ -77,7 +77,7 @@ std::optional<EpipolarGeometry> estimate_fundamental(Points x_r, Points x_t, dou
                                                      std::uint64_t seed) {
   const int n = static_cast<int>(x_r.size());
   if (n < 8 || x_t.size() != x_r.size()) return std::nullopt;
-  constexpr int kMaxTrials = 500;
+  constexpr int kMaxTrials = 2000;
   constexpr double kConfidence = 0.999;
   std::mt19937_64 random(seed);
   std::vector<int> order(static_cast<std::size_t>(n));
@@ -96,11 +96,11 @@ std::optional<EpipolarGeometry> estimate_fundamental(Points x_r, Points x_t, dou
     if (inliers <= best.inliers) continue;
     best.F = *F;
     best.inliers = inliers;
-    const double share = static_cast<double>(inliers) / n;
-    const double miss = 1 - std::pow(share, 8);
+    // Trials until one sample of inliers alone is found with the wanted confidence.
+    const double miss = 1 - std::pow(static_cast<double>(inliers) / n, 8);
     if (miss < 1e-9) break;
     trials =
-        std::min<int>(kMaxTrials, static_cast<int>(std::log(1 - kConfidence) / std::log(miss)) + 1);
+        static_cast<int>(std::min<double>(trials, std::log(1 - kConfidence) / std::log(miss) + 1));
   }
   if (best.inliers < 8) return std::nullopt;
 

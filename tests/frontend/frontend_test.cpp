@@ -1,0 +1,186 @@
+#include "frontend/frontend.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <map>
+#include <numbers>
+
+#include "replay/synthetic_flight.h"
+
+namespace corvid {
+namespace {
+
+std::shared_ptr<Device> device() {
+  const char* choice = std::getenv("CORVID_TEST_DEVICE");
+  static const auto opened = Device::open(choice ? choice : "auto");
+  if (!opened) throw std::runtime_error(opened.error().to_string());
+  return *opened;
+}
+
+FlightOptions small_flight() {
+  FlightOptions options;
+  options.width_px = 480;
+  options.height_px = 320;
+  options.colour = false;
+  options.duration_s = 4;
+  return options;
+}
+
+/// Distance between where features were found and where the rendered scene says that they are.
+struct TruthErrors {
+  std::vector<double> px;
+  void add(const SyntheticFlight& flight, const Pose& T_world_a, const FloatImage& depth_a,
+           const Eigen::Vector2d& x_a, const Pose& T_world_b, const Eigen::Vector2d& x_b) {
+    const Camera& camera = flight.camera();
+    const int u = static_cast<int>(std::lround(x_a.x())),
+              v = static_cast<int>(std::lround(x_a.y()));
+    if (!depth_a.contains(u, v, 3)) return;
+    // A feature at a depth edge has two depths: no truth there.
+    const double z = depth_a(u, v);
+    for (int dy = -3; dy <= 3; ++dy)
+      for (int dx = -3; dx <= 3; ++dx)
+        if (std::abs(depth_a(u + dx, v + dy) - z) > 0.03 * z) return;
+    const auto ray = camera.unproject(x_a);
+    if (!ray || z <= 0) return;
+    const auto x = camera.project(T_world_b.inverse() * (T_world_a * (*ray * (z / ray->z()))));
+    if (x) px.push_back((*x - x_b).norm());
+  }
+  double quantile(double q) {
+    std::sort(px.begin(), px.end());
+    return px.at(static_cast<std::size_t>(q * static_cast<double>(px.size() - 1)));
+  }
+};
+
+TEST(Frontend, TracksOfAFlightStayOnTheScene) {
+  const SyntheticFlight flight(small_flight());
+  FrontendOptions options;
+  options.max_tracks = 400;
+  auto frontend = Frontend::create(device(), options, false);
+  ASSERT_TRUE(frontend) << frontend.error().to_string();
+  struct Birth {
+    std::size_t frame;
+    Eigen::Vector2d pixel;
+  };
+  std::map<TrackId, Birth> births;
+  std::map<std::size_t, FloatImage> depths;
+  TruthErrors errors;
+  std::size_t tracked_least = 10000;
+  int keyframes = 0;
+  for (std::size_t i = 0; i < 30; ++i) {
+    const FrameTracks tracks = (*frontend)->process(flight.render(i), nullptr);
+    keyframes += tracks.keyframe;
+    EXPECT_TRUE(std::is_sorted(tracks.observations.begin(), tracks.observations.end(),
+                               [](auto& a, auto& b) { return a.track < b.track; }));
+    std::size_t tracked = 0;
+    for (const TrackObservation& o : tracks.observations) {
+      const auto [birth, fresh] = births.try_emplace(o.track, Birth{i, o.pixel});
+      if (fresh) {
+        if (!depths.contains(i)) depths[i] = flight.render_depth(i);
+        continue;
+      }
+      ++tracked;
+      errors.add(flight, flight.true_pose(birth->second.frame), depths[birth->second.frame],
+                 birth->second.pixel, flight.true_pose(i), o.pixel);
+    }
+    if (i > 0) tracked_least = std::min(tracked_least, tracked);
+  }
+  std::printf("tracks alive at least: %zu; keyframes: %d; drift median %.3f px, 95 %%: %.3f px\n",
+              tracked_least, keyframes, errors.quantile(0.5), errors.quantile(0.95));
+  EXPECT_GE(tracked_least, 150U);
+  EXPECT_GE(keyframes, 2);
+  EXPECT_LT(keyframes, 20);
+  ASSERT_GE(errors.px.size(), 2000U);
+  EXPECT_LT(errors.quantile(0.5), 0.35);
+  EXPECT_LT(errors.quantile(0.95), 1.5);
+}
+
+TEST(Frontend, SameInputSameTracks) {
+  const SyntheticFlight flight(small_flight());
+  std::vector<FrameTracks> runs[2];
+  for (auto& run : runs) {
+    auto frontend = Frontend::create(device(), {}, false);
+    ASSERT_TRUE(frontend);
+    for (std::size_t i = 0; i < 6; ++i)
+      run.push_back((*frontend)->process(flight.render(i), nullptr));
+  }
+  for (std::size_t i = 0; i < 6; ++i) {
+    ASSERT_EQ(runs[0][i].observations.size(), runs[1][i].observations.size());
+    for (std::size_t k = 0; k < runs[0][i].observations.size(); ++k) {
+      EXPECT_EQ(runs[0][i].observations[k].track, runs[1][i].observations[k].track);
+      EXPECT_EQ(runs[0][i].observations[k].pixel, runs[1][i].observations[k].pixel);
+    }
+  }
+}
+
+TEST(Frontend, StillsTurnedAgainstEachOtherAreMatched) {
+  FlightOptions flight_options = small_flight();
+  flight_options.path = FlightPath::nadir;
+  flight_options.width_px = 640;
+  flight_options.height_px = 480;
+  const SyntheticFlight flight(flight_options);
+  const Pose T_a = flight.true_pose(0);
+  const FloatImage depth = flight.render_depth(T_a);
+  for (const double turn_deg : {0.0, 25.0, 75.0, 180.0}) {
+    // Turned about the viewing axis and moved sideways by a fifth of the height.
+    const Pose T_b = T_a * Pose(so3_exp({0, 0, turn_deg * std::numbers::pi / 180}), {6, 2, 0.5});
+    auto frontend = Frontend::create(device(), {}, true);
+    ASSERT_TRUE(frontend);
+    const FrameTracks a = (*frontend)->process(flight.render(T_a, 0), nullptr);
+    auto second = std::make_shared<Frame>(*flight.render(T_b, 1));
+    second->id = FrameId(1);
+    const FrameTracks b = (*frontend)->process(second, nullptr);
+    EXPECT_TRUE(a.keyframe && b.keyframe);
+    std::map<TrackId, Eigen::Vector2d> first;
+    for (const auto& o : a.observations) first[o.track] = o.pixel;
+    TruthErrors errors;
+    int matched = 0;
+    for (const auto& o : b.observations)
+      if (const auto it = first.find(o.track); it != first.end()) {
+        ++matched;
+        errors.add(flight, T_a, depth, it->second, T_b, o.pixel);
+      }
+    ASSERT_GE(matched, 100) << "turn " << turn_deg;
+    std::printf("turn %.0f deg: %d matches, median %.3f px, 90 %%: %.3f px\n", turn_deg, matched,
+                errors.quantile(0.5), errors.quantile(0.9));
+    EXPECT_LT(errors.quantile(0.5), 0.4) << "turn " << turn_deg;
+    EXPECT_LT(errors.quantile(0.9), 2.0) << "turn " << turn_deg;
+  }
+}
+
+TEST(Frontend, ACoveredLensKeepsTheTracksForAWhile) {
+  const SyntheticFlight flight(small_flight());
+  auto frontend = Frontend::create(device(), {}, false);
+  ASSERT_TRUE(frontend);
+  for (std::size_t i = 0; i < 5; ++i) (void)(*frontend)->process(flight.render(i), nullptr);
+  const FrameTracks before = (*frontend)->process(flight.render(5), nullptr);
+  for (std::size_t i = 6; i < 10; ++i) {
+    auto black = std::make_shared<Frame>(*flight.render(i));
+    black->grey = GreyImage(black->grey.width(), black->grey.height(), 0);
+    EXPECT_TRUE((*frontend)->process(black, nullptr).observations.empty());
+  }
+  const FrameTracks after = (*frontend)->process(flight.render(6), nullptr);
+  std::size_t kept = 0;
+  for (const auto& o : after.observations)
+    kept += std::any_of(before.observations.begin(), before.observations.end(),
+                        [&](auto& b) { return b.track == o.track; });
+  EXPECT_GE(kept, before.observations.size() / 2);
+}
+
+TEST(Frontend, AFrameWithoutTextureGivesNoTracks) {
+  auto frontend = Frontend::create(device(), {}, false);
+  ASSERT_TRUE(frontend);
+  auto frame = std::make_shared<Frame>();
+  frame->id = FrameId(0);
+  frame->grey = GreyImage(320, 240, 128);
+  frame->camera =
+      std::make_shared<Camera>(Camera{CameraModel::pinhole, 320, 240, 300, 300, 160, 120, {}});
+  for (int i = 0; i < 3; ++i) {
+    const FrameTracks tracks = (*frontend)->process(frame, nullptr);
+    EXPECT_TRUE(tracks.observations.empty());
+  }
+}
+
+}  // namespace
+}  // namespace corvid
