@@ -1,0 +1,149 @@
+#include "backend/bundle.h"
+
+#include <ceres/loss_function.h>
+#include <ceres/problem.h>
+#include <ceres/solver.h>
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <memory>
+
+#include "backend/costs/reprojection.h"
+#include "core/check.h"
+
+namespace corvid {
+namespace {
+
+constexpr int kDenseLimit = 40;  ///< free poses up to which the reduced system is solved densely
+
+double median_sigma(const std::vector<BundleObservation>& observations) {
+  std::vector<double> sigmas;
+  sigmas.reserve(observations.size());
+  for (const BundleObservation& o : observations) sigmas.push_back(o.sigma_px);
+  const auto middle = sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2);
+  std::nth_element(sigmas.begin(), middle, sigmas.end());
+  return *middle;
+}
+
+}  // namespace
+
+BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
+  CORVID_CHECK(problem.fixed.size() == problem.T_world_camera.size(), "one flag per pose");
+  BundleResult result;
+  if (problem.observations.empty()) return result;
+
+  std::vector<PoseBlock> poses;
+  poses.reserve(problem.T_world_camera.size());
+  for (const Pose& T : problem.T_world_camera) poses.push_back(to_block(T));
+  std::vector<Eigen::Vector3d> points = problem.points;
+  const Camera reference = settings.refine_intrinsics ? settings.intrinsics_prior : problem.camera;
+  IntrinsicsBlock intrinsics = intrinsics_block(problem.camera, reference);
+  const double sigma = median_sigma(problem.observations);
+
+  // Everything below outlives the Ceres problem, which owns nothing: few allocations.
+  PoseManifold manifold;
+  ceres::HuberLoss loss(settings.huber_px);
+  std::deque<ReprojectionCost> costs;
+  std::deque<IntrinsicsReprojectionCost> intrinsics_costs;
+  std::deque<DistanceCost> distances;
+  const IntrinsicsPriorCost prior(intrinsics_block(reference, reference), sigma);
+
+  ceres::Problem::Options options;
+  options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  options.disable_all_safety_checks = true;
+  ceres::Problem ceres_problem(options);
+  auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
+  int free_poses = 0;
+  std::vector<std::uint8_t> used(poses.size(), 0);
+  for (const BundleObservation& o : problem.observations) {
+    used[static_cast<std::size_t>(o.pose)] = 1;
+  }
+  for (const auto& [a, b] : problem.hold_distance) {
+    used[static_cast<std::size_t>(a)] = used[static_cast<std::size_t>(b)] = 1;
+  }
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    if (used[i] == 0) continue;
+    ceres_problem.AddParameterBlock(poses[i].data(), 7, &manifold);
+    if (problem.fixed[i] != 0) {
+      ceres_problem.SetParameterBlockConstant(poses[i].data());
+    } else {
+      ++free_poses;
+    }
+    ordering->AddElementToGroup(poses[i].data(), 1);
+  }
+  for (auto& point : points) ordering->AddElementToGroup(point.data(), 0);
+  for (const BundleObservation& o : problem.observations) {
+    double* const pose = poses[static_cast<std::size_t>(o.pose)].data();
+    double* const point = points[static_cast<std::size_t>(o.point)].data();
+    const double weight = sigma / o.sigma_px;
+    if (settings.refine_intrinsics) {
+      intrinsics_costs.emplace_back(&reference, o.pixel, weight);
+      ceres_problem.AddResidualBlock(&intrinsics_costs.back(), &loss, pose, point,
+                                     intrinsics.data());
+    } else {
+      costs.emplace_back(&problem.camera, o.pixel, weight);
+      ceres_problem.AddResidualBlock(&costs.back(), &loss, pose, point);
+    }
+  }
+  for (std::size_t i = points.size(); i-- > 0;) {
+    if (!ceres_problem.HasParameterBlock(points[i].data())) ordering->Remove(points[i].data());
+  }
+  if (settings.refine_intrinsics) {
+    ceres_problem.AddResidualBlock(const_cast<IntrinsicsPriorCost*>(&prior), nullptr,
+                                   intrinsics.data());
+    ordering->AddElementToGroup(intrinsics.data(), 1);
+  }
+  for (const auto& [a, b] : problem.hold_distance) {
+    const auto ia = static_cast<std::size_t>(a), ib = static_cast<std::size_t>(b);
+    const double d =
+        (problem.T_world_camera[ib].translation() - problem.T_world_camera[ia].translation())
+            .norm();
+    if (!(d > 0)) continue;
+    // The gauge is free, so any weight gives the same shape; this one keeps the system well scaled.
+    distances.emplace_back(d, 1e3 / d);
+    ceres_problem.AddResidualBlock(&distances.back(), nullptr, poses[ia].data(), poses[ib].data());
+  }
+
+  ceres::Solver::Options solver;
+  solver.linear_solver_type = free_poses <= kDenseLimit ? ceres::DENSE_SCHUR : ceres::SPARSE_SCHUR;
+  solver.linear_solver_ordering = ordering;
+  solver.max_num_iterations = settings.max_iterations;
+  solver.num_threads = std::max(1, settings.threads);
+  solver.function_tolerance = 1e-4;
+  solver.parameter_tolerance = 1e-7;
+  solver.initial_trust_region_radius = 1e5;
+  solver.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(solver, &ceres_problem, &summary);
+
+  result.iterations = static_cast<int>(summary.iterations.size());
+  result.initial_cost = summary.initial_cost;
+  result.final_cost = summary.final_cost;
+  if (!summary.IsSolutionUsable() || !(summary.final_cost <= summary.initial_cost)) return result;
+  for (const auto& block : poses) {
+    if (!std::all_of(block.begin(), block.end(), [](double v) { return std::isfinite(v); })) {
+      return result;
+    }
+  }
+  for (const auto& point : points) {
+    if (!point.allFinite()) return result;
+  }
+  if (settings.refine_intrinsics) {
+    const Camera camera = apply_intrinsics(reference, intrinsics.data());
+    if (!camera.validate().empty()) return result;
+    problem.camera = camera;
+  }
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    if (used[i] != 0 && problem.fixed[i] == 0) {
+      problem.T_world_camera[i] = from_block(poses[i].data());
+    }
+  }
+  problem.points = std::move(points);
+  result.ok = true;
+  return result;
+}
+
+}  // namespace corvid

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "corvid/camera.h"
+#include "corvid/pose.h"
+
+namespace corvid {
+
+struct BundleObservation {
+  int pose = 0, point = 0;  ///< positions in BundleProblem
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();
+  double sigma_px = 1;
+};
+
+/// Poses, points and what sees what; adjust() changes poses, points and camera in place.
+struct BundleProblem {
+  Camera camera;
+  std::vector<Pose> T_world_camera;
+  std::vector<std::uint8_t> fixed;  ///< one per pose
+  std::vector<Eigen::Vector3d> points;
+  std::vector<BundleObservation> observations;
+  /// Pairs of poses whose distance is held: one for every part of the map whose scale is free.
+  std::vector<std::pair<int, int>> hold_distance;
+};
+
+struct BundleSettings {
+  double huber_px = 1.0;
+  int max_iterations = 10;
+  int threads = 1;
+  /// Focal length and, for radtan and equidistant, k1 and k2 are unknowns too; weakly drawn to
+  /// those of `intrinsics_prior` (10 %, 0.1, 0.1).
+  bool refine_intrinsics = false;
+  Camera intrinsics_prior;
+};
+
+struct BundleResult {
+  bool ok = false;  ///< the solver found finite values that are no worse
+  int iterations = 0;
+  double initial_cost = 0, final_cost = 0;
+};
+
+/// Bundle adjustment (algorithms.md, 6): minimises the sum of Huber(|e| * s / sigma), e the
+/// reprojection error [px] in the distorted image and s the median sigma, over the free poses and
+/// all points, by Levenberg-Marquardt on the Schur complement (Ceres). The Huber width is thus in
+/// pixels of a typical observation. Nothing is changed if it fails.
+/// Deterministic if threads == 1.
+BundleResult adjust(BundleProblem& problem, const BundleSettings& settings);
+
+/// Marginal covariance (6x6, right perturbation) of one free pose, the fixed poses and the scale
+/// of `hold_distance` taken as exact: inverse of the reduced camera system, times the variance
+/// factor of the residuals. Zero if it is singular or the pose is fixed.
+[[nodiscard]] Matrix6d pose_covariance(const BundleProblem& problem, int pose, double huber_px);
+
+}  // namespace corvid

@@ -1,0 +1,81 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <vector>
+
+#include "backend/triangulate.h"
+#include "core/tracks.h"
+#include "corvid/map.h"
+
+namespace corvid {
+
+/// A track in one keyframe.
+struct KeyframeView {
+  int keyframe = 0;
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();
+  Eigen::Vector3d ray_camera = Eigen::Vector3d::UnitZ();
+  double sigma_px = 1;
+};
+
+/// What is known about one track: its views in keyframes, and its point once it has one.
+struct MapTrack {
+  std::vector<KeyframeView> views;  ///< ascending by keyframe
+  bool landmark = false;            ///< p_world is known
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+  Rgb8 colour;
+  double max_ray_angle_rad = 0;
+  int strikes = 0;    ///< frames in a row in which it disagreed with the pose
+  int failures = 0;   ///< triangulations that did not fit
+  bool dead = false;  ///< the frontend follows the wrong thing: later observations do not count
+};
+
+struct MapKeyframe {
+  FramePtr frame;
+  int segment = 0;
+  Pose T_world_camera;
+  Matrix6d covariance = Matrix6d::Zero();  ///< right perturbation, relative to the segment's start
+  std::vector<TrackId> tracks;             ///< ascending; those with a view here or once had
+  std::shared_ptr<const Keyframe> published;  ///< null if it changed since
+};
+
+/// The map that the backend works on: keyframes and tracks, by position and by id.
+struct MapData {
+  Camera camera;
+  std::vector<MapKeyframe> keyframes;
+  std::map<TrackId, MapTrack> tracks;
+
+  /// Appends a keyframe; usable observations become views of their tracks. Returns its position.
+  int add_keyframe(const FramePtr& frame, int segment, const Pose& T_world_camera,
+                   const std::vector<TrackObservation>& observations);
+  /// Gives a track its point (and its colour, from the newest keyframe that sees it).
+  void make_landmark(MapTrack& track, const Triangulation& point);
+  /// Takes the point away again.
+  void drop_landmark(MapTrack& track);
+  /// Removes the view at position `view` of a track.
+  void drop_view(MapTrack& track, std::size_t view);
+  /// Makes a point of every living track without one that is seen in keyframe k and one before,
+  /// where the rays allow it. Returns how many.
+  int triangulate_tracks(int keyframe, double min_angle_rad, double max_error_px);
+  /// Forgets tracks without a point that end before or in keyframe k.
+  void forget_tracks(int keyframe);
+  /// Views as rays in the world.
+  [[nodiscard]] std::vector<RayView> ray_views(const MapTrack& track) const;
+  /// Replaces the intrinsics; rays of the views are computed anew.
+  void set_camera(const Camera& refined);
+  /// An immutable copy; keyframes that did not change are shared with the last copy.
+  [[nodiscard]] std::shared_ptr<const MapSnapshot> snapshot(std::uint64_t version);
+  /// Appends another map, whose tracks replace those of the same id here.
+  void append(MapData&& other);
+};
+
+/// sigma_px of an observation: never below what NCC peaks can deliver.
+[[nodiscard]] double floored_sigma_px(const TrackObservation& observation);
+
+/// Finite, and inside what the camera model can invert.
+[[nodiscard]] std::optional<Eigen::Vector3d> usable_ray(const Camera& camera,
+                                                        const TrackObservation& observation);
+
+}  // namespace corvid
