@@ -17,6 +17,7 @@
 #define TEMPLATE_FLOATS (AREA + 1)  // t' and its sum; the sum is NAN if the template has no variance
 #define PATCH_ROWS (TILE_ROWS + T - 1)
 #define PATCH_PITCH (((LANES + T - 1 + LANES - 1) / LANES) * LANES)
+#define TEMPLATE_PITCH (((T + LANES - 1) / LANES) * LANES)
 #define NO_SCORE -2.0f
 #define MIN_TEMPLATE_VARIANCE 0.01f
 #define MIN_GAUSSIAN_VARIANCE 0.1f
@@ -36,11 +37,13 @@
 #define TO_ULONG(v) JOIN(convert_ulong, LANES)(v)
 #if LANES == 16
 #define LANE_INDEX ((int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15))
-#elif LANES == 8
-#define LANE_INDEX ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #else
 #define LANE_INDEX ((int4)(0, 1, 2, 3))
 #endif
+
+inline float sum_lanes4(float4 v) { return (v.x + v.y) + (v.z + v.w); }
+inline float sum_lanes16(float16 v) { return sum_lanes4((v.s0123 + v.s4567) + (v.s89ab + v.scdef)); }
+#define SUM_LANES(v) JOIN(sum_lanes, LANES)(v)
 
 typedef struct {
   int reference_x, reference_y;
@@ -73,6 +76,15 @@ inline void fill_weights(float* g) {
   for (int i = 0; i < T; ++i) g[i] /= sum;
 }
 
+// Catmull-Rom weights of the samples at -1, 0, 1, 2 for the place f in [0, 1).
+#define CUBIC0(f) (0.5f * (f) * (-1.0f + (f) * (2.0f - (f))))
+#define CUBIC1(f) (0.5f * (2.0f + (f) * (f) * (-5.0f + 3.0f * (f))))
+#define CUBIC2(f) (0.5f * (f) * (1.0f + (f) * (4.0f - 3.0f * (f))))
+#define CUBIC3(f) (0.5f * (f) * (f) * ((f) - 1.0f))
+inline float4 cubic_weights(float f) {
+  return (float4)(CUBIC0(f), CUBIC1(f), CUBIC2(f), CUBIC3(f));
+}
+
 // t' of a job: T * T floats. Returns its sum, or NAN if there is no variance.
 inline float make_template(__global const uchar* reference, int width, int height,
                            __global const Job* job, float* t) {
@@ -85,26 +97,25 @@ inline float make_template(__global const uchar* reference, int width, int heigh
       const floatv px = job->fraction_x + a00 * du + a01 * dv;
       const floatv py = job->fraction_y + a10 * du + a11 * dv;
       const floatv whole_x = floor(px), whole_y = floor(py);
-      // Lanes past the template may lie anywhere, and rounding may step over the border: clamp.
-      const intv x0 = clamp(TO_INT(whole_x) + job->reference_x, 0, width - 1);
-      const intv y0 = clamp(TO_INT(whole_y) + job->reference_y, 0, height - 1);
-      const intv x1 = min(x0 + 1, width - 1), y1 = min(y0 + 1, height - 1);
-      int left[LANES], right[LANES], above[LANES], below[LANES];
-      VSTORE(x0, left);
-      VSTORE(x1, right);
-      VSTORE(y0 * width, above);
-      VSTORE(y1 * width, below);
-      float s00[LANES], s10[LANES], s01[LANES], s11[LANES];
-      for (int i = 0; i < LANES; ++i) {
-        s00[i] = reference[above[i] + left[i]];
-        s10[i] = reference[above[i] + right[i]];
-        s01[i] = reference[below[i] + left[i]];
-        s11[i] = reference[below[i] + right[i]];
-      }
       const floatv fx = px - whole_x, fy = py - whole_y;
-      const floatv top = VLOAD(s00) + fx * (VLOAD(s10) - VLOAD(s00));
-      const floatv bottom = VLOAD(s01) + fx * (VLOAD(s11) - VLOAD(s01));
-      VSTORE(top + fy * (bottom - top), sample + v * PATCH_PITCH + u);
+      floatv value = 0;
+      for (int j = 0; j < 4; ++j) {
+        // Pixels are repeated past the border; lanes past the template may lie anywhere.
+        const intv row = clamp(TO_INT(whole_y) + job->reference_y + (j - 1), 0, height - 1) * width;
+        floatv along = 0;
+        for (int i = 0; i < 4; ++i) {
+          const intv at = row + clamp(TO_INT(whole_x) + job->reference_x + (i - 1), 0, width - 1);
+          int places[LANES];
+          float pixels[LANES];
+          VSTORE(at, places);
+          for (int k = 0; k < LANES; ++k) pixels[k] = reference[places[k]];
+          const floatv c = i == 0 ? CUBIC0(fx) : i == 1 ? CUBIC1(fx) : i == 2 ? CUBIC2(fx) : CUBIC3(fx);
+          along += c * VLOAD(pixels);
+        }
+        const floatv c = j == 0 ? CUBIC0(fy) : j == 1 ? CUBIC1(fy) : j == 2 ? CUBIC2(fy) : CUBIC3(fy);
+        value += c * along;
+      }
+      VSTORE(value, sample + v * PATCH_PITCH + u);
     }
   }
 #ifdef GAUSSIAN
@@ -275,6 +286,144 @@ inline Peak refine_2d(__global const float* s, int pitch) {
   return peak;
 }
 
+// What aligning needs of a template besides t': rows of TEMPLATE_PITCH floats, 0 past T.
+typedef struct {
+  float t[T * TEMPLATE_PITCH];                              // t'
+  float gx[T * TEMPLATE_PITCH], gy[T * TEMPLATE_PITCH];     // weighted gradients, see below
+  float hxx, hxy, hyy;
+  float column[TEMPLATE_PITCH];                             // weights of a row's samples
+  float row[T];                                             // weights of the rows
+} Aligner;
+
+// The template's gradients with what the normalization cancels taken out: G' = w (G - mean(G) -
+// n mean(n G)), n the normalized template, and their products H = sum G' G^T.
+inline void prepare_aligner(const float* t, Aligner* a) {
+  // n, with one more sample on each side, continued linearly.
+  float n[(T + 2) * (TEMPLATE_PITCH + LANES)];
+  const int pitch = TEMPLATE_PITCH + LANES;
+#ifdef GAUSSIAN
+  float g[T];
+  fill_weights(g);
+#endif
+  for (int u = 0; u < TEMPLATE_PITCH; ++u) a->column[u] = 0.0f;
+  for (int u = 0; u < T; ++u) {
+#ifdef GAUSSIAN
+    a->column[u] = a->row[u] = g[u];
+#else
+    a->column[u] = a->row[u] = 1.0f / T;
+#endif
+  }
+  for (int i = 0; i < (T + 2) * pitch; i += LANES) VSTORE((floatv)(0), n + i);
+  for (int v = 0; v < T; ++v) {
+    float* row = n + (v + 1) * pitch + 1;
+    for (int u = 0; u < TEMPLATE_PITCH; ++u) a->t[v * TEMPLATE_PITCH + u] = 0.0f;
+    for (int u = 0; u < T; ++u) {
+      a->t[v * TEMPLATE_PITCH + u] = t[v * T + u];
+      row[u] = t[v * T + u] / (a->row[v] * a->row[u]);
+    }
+    row[-1] = 2.0f * row[0] - row[1];
+    row[T] = 2.0f * row[T - 1] - row[T - 2];
+  }
+  for (int i = 0; i < pitch; i += LANES) {
+    VSTORE(2.0f * VLOAD(n + pitch + i) - VLOAD(n + 2 * pitch + i), n + i);
+    VSTORE(2.0f * VLOAD(n + T * pitch + i) - VLOAD(n + (T - 1) * pitch + i),
+           n + (T + 1) * pitch + i);
+  }
+  floatv sx = 0, sy = 0, nx = 0, ny = 0;
+  for (int v = 0; v < T; ++v)
+    for (int u = 0; u < TEMPLATE_PITCH; u += LANES) {
+      const float* p = n + (v + 1) * pitch + 1 + u;
+      const floatv w = a->row[v] * VLOAD(a->column + u);
+      const floatv gx = 0.5f * (VLOAD(p + 1) - VLOAD(p - 1));
+      const floatv gy = 0.5f * (VLOAD(p + pitch) - VLOAD(p - pitch));
+      sx += w * gx;
+      sy += w * gy;
+      nx += w * gx * VLOAD(p);
+      ny += w * gy * VLOAD(p);
+    }
+  const float mean_x = SUM_LANES(sx), mean_y = SUM_LANES(sy);
+  const float along_x = SUM_LANES(nx), along_y = SUM_LANES(ny);
+  floatv hxx = 0, hxy = 0, hyy = 0;
+  for (int v = 0; v < T; ++v)
+    for (int u = 0; u < TEMPLATE_PITCH; u += LANES) {
+      const float* p = n + (v + 1) * pitch + 1 + u;
+      const floatv w = a->row[v] * VLOAD(a->column + u);
+      const floatv gx = 0.5f * (VLOAD(p + 1) - VLOAD(p - 1)) - mean_x - along_x * VLOAD(p);
+      const floatv gy = 0.5f * (VLOAD(p + pitch) - VLOAD(p - pitch)) - mean_y - along_y * VLOAD(p);
+      hxx += w * gx * gx;
+      hxy += w * gx * gy;
+      hyy += w * gy * gy;
+      VSTORE(w * gx, a->gx + v * TEMPLATE_PITCH + u);
+      VSTORE(w * gy, a->gy + v * TEMPLATE_PITCH + u);
+    }
+  a->hxx = SUM_LANES(hxx);
+  a->hxy = SUM_LANES(hxy);
+  a->hyy = SUM_LANES(hyy);
+}
+
+inline floatv along_row(__global const uchar* p, float4 c) {
+  return c.x * TO_FLOAT(VLOAD(p)) + c.y * TO_FLOAT(VLOAD(p + 1)) + c.z * TO_FLOAT(VLOAD(p + 2)) +
+         c.w * TO_FLOAT(VLOAD(p + 3));
+}
+
+// Gauss-Newton ascent of C over the place of the template in the target, read bicubically; inverse
+// compositional (Baker and Matthews, "Lucas-Kanade 20 years on", 2004) with the gain and offset of C.
+// Starts at *peak, whose maximum on the grid is (x, y) with the score `raw`; leaves *peak as it is
+// unless it converges within a pixel of (x, y).
+inline void align(__global const uchar* target, int width, int height, const Aligner* a,
+                  int iterations, int x, int y, float raw, Peak* peak) {
+  const float det = a->hxx * a->hyy - a->hxy * a->hxy;
+  if (!(det > 1e-6f * (a->hxx + a->hyy) * (a->hxx + a->hyy))) return;
+  float dx = peak->x, dy = peak->y;  // from (x, y)
+  for (int k = 0; k < iterations; ++k) {
+    if (!(fabs(dx) <= 1.5f && fabs(dy) <= 1.5f)) return;
+    const int x0 = x + (int)floor(dx) - HALF_T - 1, y0 = y + (int)floor(dy) - HALF_T - 1;
+    if (x0 < 0 || y0 < 0 || x0 + T + 2 >= width || y0 + T + 2 >= height) return;
+    const float4 cx = cubic_weights(dx - floor(dx)), cy = cubic_weights(dy - floor(dy));
+    const float origin = target[(y0 + HALF_T) * width + x0 + HALF_T];
+    floatv sum = 0, squares = 0, product = 0, ex = 0, ey = 0;
+    for (int u = 0; u < TEMPLATE_PITCH; u += LANES) {
+      __global const uchar* p = target + y0 * width + x0 + u;
+      const floatv column = VLOAD(a->column + u);
+      floatv r0 = along_row(p, cx) - origin, r1 = along_row(p + width, cx) - origin,
+             r2 = along_row(p + 2 * width, cx) - origin;
+      p += 3 * width;
+      for (int v = 0; v < T; ++v, p += width) {
+        const floatv r3 = along_row(p, cx) - origin;
+        const floatv s = cy.x * r0 + cy.y * r1 + cy.z * r2 + cy.w * r3;
+        r0 = r1;
+        r1 = r2;
+        r2 = r3;
+        const floatv ws = a->row[v] * column * s;
+        sum += ws;
+        squares += ws * s;
+        product += VLOAD(a->t + v * TEMPLATE_PITCH + u) * s;
+        ex += VLOAD(a->gx + v * TEMPLATE_PITCH + u) * s;
+        ey += VLOAD(a->gy + v * TEMPLATE_PITCH + u) * s;
+      }
+    }
+    const float mean = SUM_LANES(sum);
+    const float variance = SUM_LANES(squares) - mean * mean;
+    if (!(variance > 1e-3f)) return;
+    const float sigma = sqrt(variance);
+    const float bx = SUM_LANES(ex) / sigma, by = SUM_LANES(ey) / sigma;
+    const float step_x = -(a->hyy * bx - a->hxy * by) / det;
+    const float step_y = -(a->hxx * by - a->hxy * bx) / det;
+    const float length = fmax(fabs(step_x), fabs(step_y));
+    if (k == iterations - 1 || length < 0.002f) {
+      const float score = clamp(SUM_LANES(product) / sigma, -1.0f, 1.0f);
+      if (length < 0.02f && fabs(dx) <= 1.0f && fabs(dy) <= 1.0f && score >= raw - 0.01f) {
+        peak->x = dx;
+        peak->y = dy;
+        peak->score = score;
+      }
+      return;
+    }
+    dx += step_x;
+    dy += step_y;
+  }
+}
+
 // Keeps the MAX_PEAKS largest values; among equals the one that came first.
 inline int keep_best(float* value, int* place, int kept, float new_value, int new_place) {
   if (kept == MAX_PEAKS && !(new_value > value[MAX_PEAKS - 1])) return kept;
@@ -289,7 +438,8 @@ inline int keep_best(float* value, int* place, int kept, float new_value, int ne
 }
 
 inline void extract_peaks(__global const Job* job, __global const float* scores, float quality,
-                          __global Result* result) {
+                          __global const uchar* target, int target_width, int target_height,
+                          const float* t, int iterations, __global Result* result) {
   const int width = job->width, height = job->height, pitch = job->pitch;
   const bool along_x = (job->flat & 1) != 0, along_y = (job->flat & 2) != 0;
   floatv best_lanes = NO_SCORE;
@@ -339,6 +489,9 @@ inline void extract_peaks(__global const Job* job, __global const float* scores,
   }
 
   Peak peaks[MAX_PEAKS];
+  Aligner aligner;
+  const bool aligns = kept > 0 && iterations > 0 && !along_x && !along_y;
+  if (aligns) prepare_aligner(t, &aligner);
   for (int k = 0; k < kept; ++k) {
     __global const float* p = scores + place[k];
     Peak peak;
@@ -354,8 +507,11 @@ inline void extract_peaks(__global const Job* job, __global const float* scores,
     } else {
       peak = refine_2d(p, pitch);
     }
-    peak.x += (float)(job->x + place[k] % pitch);
-    peak.y += (float)(job->y + place[k] / pitch);
+    const int x = job->x + place[k] % pitch, y = job->y + place[k] / pitch;
+    if (aligns)
+      align(target, target_width, target_height, &aligner, iterations, x, y, value[k], &peak);
+    peak.x += (float)x;
+    peak.y += (float)y;
     // Refinement may change the order.
     int i = k;
     for (; i > 0 && peak.score > peaks[i - 1].score; --i) peaks[i] = peaks[i - 1];
@@ -367,8 +523,9 @@ inline void extract_peaks(__global const Job* job, __global const float* scores,
 
 __kernel void small(__global const uchar* restrict reference, int reference_width,
                     int reference_height, __global const uchar* restrict target, int target_width,
-                    __global const Job* restrict jobs, int count, __global float* scores,
-                    float quality, __global Result* restrict results) {
+                    int target_height, __global const Job* restrict jobs, int count,
+                    __global float* scores, float quality, int iterations,
+                    __global Result* restrict results) {
   const int index = get_global_id(0);
   if (index >= count) return;
   __global const Job* job = jobs + index;
@@ -383,7 +540,8 @@ __kernel void small(__global const uchar* restrict reference, int reference_widt
     for (int x = 0; x < job->width; x += LANES)
       score_tile(target, target_width, t, sum, job->x + x, job->y + y, job->x + job->width,
                  min(TILE_ROWS, job->height - y), out + y * job->pitch + x, job->pitch);
-  extract_peaks(job, out, quality, results + index);
+  extract_peaks(job, out, quality, target, target_width, target_height, t, iterations,
+                results + index);
 }
 
 __kernel void templates(__global const uchar* restrict reference, int reference_width,
@@ -415,15 +573,20 @@ __kernel void tiles(__global const uchar* restrict target, int target_width,
              job->pitch);
 }
 
-__kernel void peaks(__global const Job* restrict jobs, int count, __global const float* restrict stored,
-                    __global const float* restrict scores, float quality,
-                    __global Result* restrict results) {
+__kernel void peaks(__global const uchar* restrict target, int target_width, int target_height,
+                    __global const Job* restrict jobs, int count,
+                    __global const float* restrict stored, __global const float* restrict scores,
+                    float quality, int iterations, __global Result* restrict results) {
   const int index = get_global_id(0);
   if (index >= count) return;
   __global const Job* job = jobs + index;
-  if (isnan(stored[index * TEMPLATE_FLOATS + AREA])) {
+  __global const float* mine = stored + index * TEMPLATE_FLOATS;
+  if (isnan(mine[AREA])) {
     clear(results + index);
     return;
   }
-  extract_peaks(job, scores + job->scores, quality, results + index);
+  float t[AREA];
+  for (int i = 0; i < AREA; ++i) t[i] = mine[i];
+  extract_peaks(job, scores + job->scores, quality, target, target_width, target_height, t,
+                iterations, results + index);
 }

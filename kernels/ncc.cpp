@@ -28,6 +28,7 @@ std::optional<Error> check_options(const NccOptions& options) {
                              options.template_px));
   if (!(options.peak_quality >= 0 && options.peak_quality <= 1))
     return error("peak_quality must be in [0, 1]");
+  if (options.align_iterations < 0) return error("align_iterations must not be negative");
   return std::nullopt;
 }
 
@@ -184,8 +185,8 @@ void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
   if (small) {
     on_device("correlation", [&] {
       set_arguments(kernels.small, reference.pixels, reference.width_px, reference.height_px,
-                    target.pixels, target.width_px, device_jobs_.cl(), count, scores_.cl(), quality,
-                    device_results_.cl());
+                    target.pixels, target.width_px, target.height_px, device_jobs_.cl(), count,
+                    scores_.cl(), quality, options.align_iterations, device_results_.cl());
       launch_items(*device_, lane, kernels.small, count);
     });
   } else {
@@ -208,8 +209,9 @@ void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
       set_arguments(kernels.tiles, target.pixels, target.width_px, device_jobs_.cl(),
                     device_tiles_.cl(), tiles, templates_.cl(), scores_.cl());
       launch_items(*device_, lane, kernels.tiles, tiles);
-      set_arguments(kernels.peaks, device_jobs_.cl(), count, templates_.cl(), scores_.cl(), quality,
-                    device_results_.cl());
+      set_arguments(kernels.peaks, target.pixels, target.width_px, target.height_px,
+                    device_jobs_.cl(), count, templates_.cl(), scores_.cl(), quality,
+                    options.align_iterations, device_results_.cl());
       launch_items(*device_, lane, kernels.peaks, count);
     });
   }
