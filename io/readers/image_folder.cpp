@@ -54,7 +54,8 @@ std::optional<Times> times_from_file(const std::vector<fs::path>& places, std::s
       Times times;
       for (const TextLine& line : data_lines(*text)) {
         const auto parts = fields(line.text);
-        const auto time = seconds_to_ns(parts[parts.size() > 1 ? 1 : 0]);
+        const auto time =
+            parts.empty() ? std::nullopt : seconds_to_ns(parts[parts.size() > 1 ? 1 : 0]);
         if (time) times.push_back(*time);
       }
       if (times.size() == count) return times;
