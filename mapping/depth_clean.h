@@ -1,0 +1,32 @@
+#pragma once
+
+#include <span>
+
+#include "corvid/map.h"
+
+namespace corvid {
+
+/// Lowers the confidence of rays whose sweep had a second peak nearly as high as the best one
+/// (repeated structure), and takes their answer away where the two cannot be told apart.
+/// @param rival  score of the best other peak, per ray.
+void weaken_ambiguous(DepthMap& map, const FloatImage& rival);
+
+/// Another view's depth, to compare with.
+struct DepthWitness {
+  const DepthMap* map = nullptr;
+  Pose T_witness_camera;  ///< from the compared map's camera coordinates
+};
+
+/// Takes away answers that lie in front of what witnesses see along the same ray (they see through
+/// the point) and that no witness confirms within `tolerance` (relative). Points that a witness
+/// cannot see or that lie behind its surface are not judged by it.
+/// @return how many were taken away.
+int remove_contradicted(DepthMap& map, std::span<const DepthWitness> witnesses,
+                        double tolerance = 0.02);
+
+/// Takes away islands of fewer than `min_rays` answers; 4-neighbours belong together if their
+/// depths differ by less than `max_jump` (relative).
+/// @return how many answers were taken away.
+int remove_speckles(DepthMap& map, int min_rays, double max_jump = 0.03);
+
+}  // namespace corvid

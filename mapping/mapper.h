@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/stopwatch.h"
+#include "corvid/map.h"
+#include "corvid/mesh_stream.h"
+#include "corvid/options.h"
+#include "corvid/ports.h"
+#include "kernels/device.h"
+
+namespace corvid {
+
+struct MapperStatistics {
+  std::uint64_t depth_maps = 0;      ///< keyframes with depth
+  std::uint64_t without_depth = 0;   ///< tried, but too few neighbours or answers
+  std::uint64_t skipped = 0;         ///< too near to the keyframe mapped before
+  std::uint64_t refusions = 0;       ///< keyframes taken out and put back in at a new pose
+  std::uint64_t blocks = 0;          ///< voxel blocks in memory now
+  std::uint64_t dropped_blocks = 0;  ///< voxel blocks dropped or not made, for the budget
+  double answered = 0;               ///< mean share of rays with depth, of the depth maps
+};
+
+/// The mapping stage: depth maps of keyframes, fused into a voxel map that follows the poses, and
+/// the surface of what changed.
+///
+/// Synchronous, one owner. The same snapshots in the same order give the same results. Segments of
+/// the map have no common frame, so only the segment with the most keyframes is in the voxel map.
+/// Device trouble comes as DeviceFault.
+class Mapper {
+ public:
+  /// @param sink  gets the mesh of every changed block; may be null; outlives the mapper.
+  /// Fails if an option is wrong or the kernels do not build.
+  [[nodiscard]] static Expected<std::unique_ptr<Mapper>> create(std::shared_ptr<Device> device,
+                                                                const MappingOptions& options,
+                                                                MeshSink* sink);
+  ~Mapper();
+
+  /// Does one unit of work against the newest map: estimates one keyframe's depth and fuses it, or
+  /// re-fuses one that moved; false if there was nothing to do. A keyframe's turn comes when two
+  /// newer ones of its segment are there to compare it with.
+  bool step(const MapSnapshot& map);
+  /// All that is left, also the last keyframes, which have no newer neighbours.
+  void finish(const MapSnapshot& map);
+
+  /// The whole surface, vertices on the borders of blocks welded.
+  [[nodiscard]] TriangleMesh mesh() const;
+  /// In the order of their estimation.
+  [[nodiscard]] const std::vector<std::shared_ptr<const DepthMap>>& depth_maps() const;
+  /// [map units]; 0 until the first keyframes have shown how large the scene is.
+  [[nodiscard]] double voxel_size() const;
+  [[nodiscard]] MapperStatistics statistics() const;
+  /// How long the parts of the last step took: "images", "depth", "clean", "fuse", "mesh".
+  [[nodiscard]] const Timings& last_timings() const;
+
+ private:
+  struct Impl;
+  explicit Mapper(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace corvid

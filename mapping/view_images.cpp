@@ -1,0 +1,70 @@
+#include "mapping/view_images.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace corvid {
+
+ViewImages::ViewImages(std::shared_ptr<Device> device, Warper warper, int scale,
+                       std::size_t budget_bytes)
+    : device_(std::move(device)),
+      warper_(std::move(warper)),
+      scale_(scale),
+      budget_bytes_(budget_bytes) {}
+
+Camera ViewImages::camera_of(const Camera& lens) const {
+  return DepthSweeper::scaled(lens.undistorted(), scale_);
+}
+
+void ViewImages::prepare_for(const Camera& lens) {
+  if (lens_ == lens) return;
+  kept_.clear();
+  undistort_.reset();
+  const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
+  const Camera straight = lens.undistorted();
+  if (!(straight == lens)) {
+    undistort_ = warper_.upload(WarpMap::between(lens, straight, I), Lane::mapping);
+  }
+  reduce_ = WarpMap::between(lens, camera_of(lens), I);
+  lens_ = lens;
+}
+
+std::shared_ptr<const SweepImage> ViewImages::sweep_image(const Keyframe& keyframe,
+                                                          const Camera& lens,
+                                                          DepthSweeper& sweeper) {
+  prepare_for(lens);
+  const GreyImage& grey = keyframe.frame->grey;
+  if (grey.width() != lens.width_px || grey.height() != lens.height_px) return nullptr;
+  Kept& kept = kept_[keyframe.id];
+  kept.last_use = ++uses_;
+  if (!kept.image) {
+    DeviceImage image = upload(*device_, grey, Lane::mapping);
+    if (undistort_) image = warper_.remap(image, *undistort_, Lane::mapping);
+    kept.image = std::make_shared<const SweepImage>(sweeper.prepare(image, scale_, Lane::mapping));
+  }
+  const auto result = kept.image;
+  const std::size_t bytes = sizeof(float) * static_cast<std::size_t>(result->width_px) *
+                            static_cast<std::size_t>(result->height_px);
+  while (kept_.size() > std::max<std::size_t>(1, budget_bytes_ / std::max<std::size_t>(1, bytes))) {
+    kept_.erase(std::min_element(kept_.begin(), kept_.end(), [](const auto& a, const auto& b) {
+      return a.second.last_use < b.second.last_use;
+    }));
+  }
+  return result;
+}
+
+ColourImage ViewImages::colours(const Frame& frame, const Camera& lens) {
+  prepare_for(lens);
+  if (frame.colour.width() == lens.width_px && frame.colour.height() == lens.height_px) {
+    return remap(frame.colour, *reduce_);
+  }
+  if (frame.grey.width() != lens.width_px || frame.grey.height() != lens.height_px) return {};
+  const GreyImage grey = remap(frame.grey, *reduce_);
+  ColourImage out(grey.width(), grey.height());
+  std::transform(grey.data(), grey.data() + grey.size(), out.data(), [](std::uint8_t g) {
+    return Rgb8{g, g, g};
+  });
+  return out;
+}
+
+}  // namespace corvid
