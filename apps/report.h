@@ -1,0 +1,46 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "apps/report_numbers.h"
+#include "apps/run_folder.h"
+#include "io/colmap_writer.h"
+
+namespace corvid {
+
+/// A file or subfolder of the run's folder, for the report's list.
+struct ReportFile {
+  std::string name;
+  std::string about;
+  std::uintmax_t bytes = 0;
+};
+
+/// Everything that report.html and run.json say.
+struct ReportFacts {
+  const RunReportInput& input;
+  RunNumbers numbers;
+  MachineInfo machine;
+  std::string options_yaml;
+  std::vector<ColmapModel> colmap;
+  std::vector<ReportFile> files;
+};
+
+/// One self-contained page: inline style, SVG plots, pictures as data; no script, no request.
+[[nodiscard]] std::string report_html(const ReportFacts& facts);
+
+/// The same numbers, schema in docs/formats.md.
+[[nodiscard]] std::string report_json(const ReportFacts& facts);
+inline constexpr int kRunSchemaVersion = 1;
+
+// Parts of the page, each one <section> (report_sections.cpp, report_map_sections.cpp).
+[[nodiscard]] std::string trajectory_section(const ReportFacts& facts);
+[[nodiscard]] std::string truth_section(const ReportFacts& facts);
+[[nodiscard]] std::string tracking_section(const ReportFacts& facts);
+[[nodiscard]] std::string timing_section(const ReportFacts& facts);
+[[nodiscard]] std::string frames_section(const ReportFacts& facts);
+[[nodiscard]] std::string map_section(const ReportFacts& facts);
+[[nodiscard]] std::string depth_section(const ReportFacts& facts);
+[[nodiscard]] std::string mesh_section(const ReportFacts& facts);
+
+}  // namespace corvid

@@ -1,0 +1,169 @@
+// The report's sections about the map: landmarks, depth maps, mesh.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "apps/plot.h"
+#include "apps/report.h"
+#include "apps/report_page.h"
+#include "apps/report_pictures.h"
+
+namespace corvid {
+namespace {
+
+constexpr int kPictureWidth = 560;         ///< of depth maps and photographs [px]
+constexpr std::size_t kDepthPictures = 4;  ///< depth maps shown
+
+std::vector<Pose> camera_poses(const RunResult& result) {
+  std::vector<Pose> out;
+  if (result.map) {
+    for (const auto& keyframe : result.map->keyframes) out.push_back(keyframe->T_world_camera);
+  }
+  if (out.empty()) {
+    for (const StampedPose& p : result.trajectory) out.push_back(p.T_world_camera);
+  }
+  return out;
+}
+
+std::vector<Pose> path_poses(const RunResult& result) {
+  std::vector<Pose> out;
+  for (const StampedPose& p : result.trajectory) out.push_back(p.T_world_camera);
+  return out;
+}
+
+const Keyframe* find_keyframe(const RunResult& result, KeyframeId id) {
+  if (!result.map) return nullptr;
+  for (const auto& keyframe : result.map->keyframes) {
+    if (keyframe->id == id) return keyframe.get();
+  }
+  return nullptr;
+}
+
+std::string photo_of(const Frame& frame, const std::string& caption) {
+  if (frame.grey.empty() && frame.colour.empty()) return {};
+  const ColourImage image = frame.colour.empty() ? grey_as_colour(frame.grey) : frame.colour;
+  return html_photo(caption, frame.name, shrink(image, kPictureWidth));
+}
+
+/// The same view with a picture `width_px` wide.
+Camera resized(const Camera& camera, int width_px) {
+  const double scale = static_cast<double>(width_px) / camera.width_px;
+  Camera out = camera;
+  out.width_px = width_px;
+  out.height_px = std::max(1, static_cast<int>(std::lround(camera.height_px * scale)));
+  out.fx_px *= scale;
+  out.fy_px *= scale;
+  out.cx_px = (camera.cx_px + 0.5) * scale - 0.5;
+  out.cy_px = (camera.cy_px + 0.5) * scale - 0.5;
+  return out;
+}
+
+}  // namespace
+
+std::string map_section(const ReportFacts& facts) {
+  const RunResult& result = facts.input.result;
+  const RunNumbers& n = facts.numbers;
+  if (!result.map || result.map->landmarks.empty()) {
+    return html_section("map", "Sparse map", html_nothing("There are no landmarks."));
+  }
+  const ViewAxes axes = guess_axes(path_poses(result));
+  std::vector<PlotSeries> series(2);
+  series[0] = {"camera", {}, 0, PlotSeries::Style::line};
+  series[1] = {"keyframes", {}, 1, PlotSeries::Style::points};
+  for (const StampedPose& p : result.trajectory) {
+    series[0].points.push_back(axes.top(p.T_world_camera.translation()));
+  }
+  for (const auto& keyframe : result.map->keyframes) {
+    series[1].points.push_back(axes.top(keyframe->T_world_camera.translation()));
+  }
+  std::vector<Eigen::Vector2d> path = series[0].points;
+  path.insert(path.end(), series[1].points.begin(), series[1].points.end());
+  const auto picture = picture_of_landmarks(result.map->landmarks, path, axes);
+  PlotOptions options;
+  options.title = "Landmarks from above";
+  options.x_label = axes.right_name + " [map units]";
+  options.y_label = axes.forward_name + " [map units]";
+  options.width_px = 900;
+  options.equal_axes = true;
+  std::string html = svg_plot(options, series, {}, picture ? &*picture : nullptr);
+  html += fmt::format(
+      "<p class=\"note\">{} landmarks in {} keyframes, {} observations ({} per landmark). The "
+      "middle "
+      "98 % are shown.</p>\n",
+      format_count(n.landmarks), format_count(n.keyframes), format_count(n.observations),
+      format_number(static_cast<double>(n.observations) / static_cast<double>(n.landmarks)));
+  return html_section("map", "Sparse map", html);
+}
+
+std::string depth_section(const ReportFacts& facts) {
+  const RunResult& result = facts.input.result;
+  const RunNumbers& n = facts.numbers;
+  std::vector<const DepthMap*> maps;
+  for (const DepthMap& map : result.depth_maps) {
+    if (!map.depth.empty()) maps.push_back(&map);
+  }
+  if (maps.empty()) return html_section("depth", "Depth maps", html_nothing("There are none."));
+  std::string html = fmt::format(
+      "<p>{} depth maps; {} of the pixels have an answer, with a mean confidence of {}.</p>\n"
+      "<p class=\"note\">Depth: near <span class=\"ramp turbo\"></span> far. Confidence: 0 "
+      "<span class=\"ramp viridis\"></span> 1. Empty pixels have no answer.</p>\n",
+      format_count(n.depth_maps), html_escape(format_percent(n.depth_coverage)),
+      format_number(n.depth_confidence));
+  for (const std::size_t i : spread_indices(maps.size(), kDepthPictures)) {
+    const DepthMap& map = *maps[i];
+    const DepthPicture depth = picture_of_depth(map.depth);
+    const std::string name = fmt::format("Keyframe {}", map.keyframe.value);
+    html += "<div class=\"trio\">";
+    const Keyframe* keyframe = find_keyframe(result, map.keyframe);
+    if (keyframe && keyframe->frame) html += photo_of(*keyframe->frame, name);
+    html += html_picture(
+        name + ", depth",
+        depth.far > 0
+            ? fmt::format("{} to {} map units", format_number(depth.near), format_number(depth.far))
+            : std::string("no pixel has an answer"),
+        shrink(depth.picture, kPictureWidth));
+    if (!map.confidence.empty()) {
+      html += html_picture(name + ", confidence", "",
+                           shrink(picture_of_confidence(map.confidence), kPictureWidth));
+    }
+    html += "</div>\n";
+  }
+  return html_section("depth", "Depth maps", html);
+}
+
+std::string mesh_section(const ReportFacts& facts) {
+  const RunResult& result = facts.input.result;
+  const RunNumbers& n = facts.numbers;
+  if (result.mesh.empty()) {
+    return html_section("mesh", "Mesh", html_nothing("There is no mesh."));
+  }
+  const std::vector<Pose> cameras = camera_poses(result);
+  const ViewAxes axes = guess_axes(path_poses(result));
+  std::string html = "<div class=\"pair\">";
+  for (const MeshView& view : outside_views(result.mesh, axes, cameras, 800, 540)) {
+    html += html_picture(view.name, "", render_mesh(result.mesh, view.camera, view.T_world_camera));
+  }
+  // The middle keyframe's own view beside its photograph: what the mesh should look like.
+  if (result.map && result.map->camera && !result.map->keyframes.empty()) {
+    const Keyframe& keyframe = *result.map->keyframes[result.map->keyframes.size() / 2];
+    const Camera camera = resized(result.map->camera->undistorted(), 800);
+    html += html_picture(fmt::format("As keyframe {} saw it", keyframe.id.value), "rendered",
+                         render_mesh(result.mesh, camera, keyframe.T_world_camera));
+    if (keyframe.frame) {
+      html += photo_of(*keyframe.frame, fmt::format("Keyframe {}", keyframe.id.value));
+    }
+  }
+  html += "</div>\n";
+  std::string text =
+      fmt::format("{} triangles, {} vertices, area {} square map units", format_count(n.triangles),
+                  format_count(n.vertices), format_number(n.mesh_area));
+  if (result.voxel_size > 0) {
+    text += fmt::format(", voxels of {} map units", format_number(result.voxel_size));
+  }
+  html += fmt::format("<p class=\"note\">{}. Backs of triangles are drawn dark and bluish.</p>\n",
+                      html_escape(text));
+  return html_section("mesh", "Mesh", html);
+}
+
+}  // namespace corvid

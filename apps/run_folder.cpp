@@ -1,0 +1,248 @@
+#include "apps/run_folder.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <iterator>
+#include <nlohmann/json.hpp>
+#include <system_error>
+
+#include "apps/report.h"
+#include "apps/report_pictures.h"
+#include "io/atomic_file.h"
+#include "io/colmap_writer.h"
+#include "io/image_encode.h"
+#include "io/mesh_files.h"
+#include "io/options_file.h"
+#include "io/trajectory_file.h"
+
+namespace corvid {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr char kMarker[] = "run.json";
+
+/// Rounding of a stored vertex: a sixteenth of a voxel is far below what the surface resolves.
+constexpr double kVoxelShare = 1.0 / 16;
+
+std::uintmax_t size_below(const fs::path& path) {
+  std::error_code ec;
+  if (!fs::is_directory(path, ec)) {
+    const std::uintmax_t size = fs::file_size(path, ec);
+    return ec ? 0 : size;
+  }
+  std::uintmax_t sum = 0;
+  for (fs::recursive_directory_iterator it(path, ec), end; !ec && it != end; it.increment(ec)) {
+    std::error_code fault;
+    if (!it->is_regular_file(fault)) continue;
+    const std::uintmax_t size = it->file_size(fault);
+    if (!fault) sum += size;
+  }
+  return sum;
+}
+
+/// TUM columns, then what a keyframe is beyond its pose.
+std::string keyframes_text(const MapSnapshot& map) {
+  std::string out =
+      "# time [s] tx ty tz qx qy qz qw (T_world_camera), keyframe, frame, segment, landmarks "
+      "seen\n";
+  for (const auto& k : map.keyframes) {
+    const Eigen::Vector3d& t = k->T_world_camera.translation();
+    const Eigen::Quaterniond& q = k->T_world_camera.rotation();
+    const std::int64_t time_ns = k->frame ? k->frame->time_ns : 0;
+    const std::uint32_t frame = k->frame ? k->frame->id.value : FrameId::kInvalid;
+    const std::uint64_t size_ns =
+        time_ns < 0 ? 0 - static_cast<std::uint64_t>(time_ns) : static_cast<std::uint64_t>(time_ns);
+    fmt::format_to(std::back_inserter(out), "{}{}.{:09d} {} {} {} {} {} {} {} {} {} {} {}\n",
+                   time_ns < 0 ? "-" : "", size_ns / 1000000000, size_ns % 1000000000, t.x(), t.y(),
+                   t.z(), q.x(), q.y(), q.z(), q.w(), k->id.value, frame, k->segment,
+                   k->observations.size());
+  }
+  return out;
+}
+
+TriangleMesh landmark_cloud(const MapSnapshot& map) {
+  TriangleMesh cloud;
+  for (const Landmark& l : map.landmarks) {
+    cloud.vertices.push_back(l.p_world.cast<float>());
+    cloud.colours.push_back(l.colour);
+  }
+  return cloud;
+}
+
+/// Raw depth, previews, and index.json with cameras and poses.
+Expected<void> write_depth(const RunResult& result, const fs::path& dir) {
+  std::vector<const DepthMap*> maps;
+  for (const DepthMap& map : result.depth_maps) {
+    if (!map.depth.empty()) maps.push_back(&map);
+  }
+  using Json = nlohmann::ordered_json;
+  Json index = Json::array();
+  for (const std::size_t i : spread_indices(maps.size(), kMaxDepthFiles)) {
+    const DepthMap& map = *maps[i];
+    const std::string stem = fmt::format("keyframe_{:06d}", map.keyframe.value);
+    const DepthPicture picture = picture_of_depth(map.depth);
+    std::vector<std::pair<std::string, std::string>> files = {
+        {stem + ".pfm", encode_pfm(map.depth)},
+        {stem + "_depth.png", encode_png(picture.picture.colour, picture.picture.alpha)}};
+    if (!map.confidence.empty()) {
+      const MeshPicture c = picture_of_confidence(map.confidence);
+      files.emplace_back(stem + "_confidence.png", encode_png(c.colour, c.alpha));
+    }
+    for (const auto& [name, bytes] : files) {
+      if (auto ok = write_file_atomically(dir / name, bytes); !ok) return ok;
+    }
+    const Eigen::Quaterniond& q = map.T_world_camera.rotation();
+    const Eigen::Vector3d& t = map.T_world_camera.translation();
+    index.push_back({{"keyframe", map.keyframe.value},
+                     {"depth", stem + ".pfm"},
+                     {"width_px", map.depth.width()},
+                     {"height_px", map.depth.height()},
+                     {"fx_px", map.camera.fx_px},
+                     {"fy_px", map.camera.fy_px},
+                     {"cx_px", map.camera.cx_px},
+                     {"cy_px", map.camera.cy_px},
+                     {"position", {t.x(), t.y(), t.z()}},
+                     {"rotation_xyzw", {q.x(), q.y(), q.z(), q.w()}},
+                     {"near", picture.near},
+                     {"far", picture.far}});
+  }
+  return write_file_atomically(dir / "index.json", index.dump(2) + "\n");
+}
+
+bool has_images(const MapSnapshot& map) {
+  return map.camera && std::any_of(map.keyframes.begin(), map.keyframes.end(),
+                                   [](const auto& k) { return k->frame != nullptr; });
+}
+
+/// Every file but run.json and report.html; what was written, for the report's list.
+class FolderWriter {
+ public:
+  FolderWriter(const RunReportInput& input, fs::path dir) : input_(input), dir_(std::move(dir)) {}
+
+  Expected<void> write() {
+    const RunResult& result = input_.result;
+    if (!done("trajectory.txt", "camera poses of all frames that have one, TUM format",
+              write_trajectory((dir_ / "trajectory.txt").string(), result.trajectory))) {
+      return fault_;
+    }
+    if (result.map) {
+      if (!done("keyframes.txt", "poses of the keyframes",
+                write_file_atomically(dir_ / "keyframes.txt", keyframes_text(*result.map))) ||
+          !done("points.ply", "landmarks with colours",
+                write_mesh(landmark_cloud(*result.map), dir_ / "points.ply"))) {
+        return fault_;
+      }
+    }
+    if (!result.mesh.empty()) {
+      MeshWriteOptions options;
+      options.max_step = result.voxel_size * kVoxelShare;
+      if (!done("mesh.drc", "the surface, Draco",
+                write_mesh(result.mesh, dir_ / "mesh.drc", MeshFormat::drc, options)) ||
+          !done("mesh.glb", "the surface, glTF with KHR_draco_mesh_compression, y up",
+                write_mesh(result.mesh, dir_ / "mesh.glb", MeshFormat::glb, options))) {
+        return fault_;
+      }
+    }
+    if (result.map && has_images(*result.map)) {
+      auto models = write_colmap(*result.map, dir_ / "colmap");
+      if (!models) return tl::unexpected(models.error());
+      colmap = std::move(*models);
+      list("colmap", "COLMAP text model with undistorted images");
+    }
+    if (!result.depth_maps.empty()) {
+      if (!done("depth", "depth maps of up to 40 keyframes: raw (.pfm) and as pictures",
+                write_depth(result, dir_ / "depth"))) {
+        return fault_;
+      }
+    }
+    options_yaml = fmt::format("# corvid {}\n{}", input_.version, options_to_yaml(result.options));
+    done("options.yaml", "the resolved options; give it to --options to fly the same way",
+         write_file_atomically(dir_ / "options.yaml", options_yaml));
+    return fault_;
+  }
+
+  std::vector<ReportFile> files;
+  std::vector<ColmapModel> colmap;
+  std::string options_yaml;
+
+ private:
+  void list(const char* name, const char* about) {
+    files.push_back({name, about, size_below(dir_ / name)});
+  }
+  bool done(const char* name, const char* about, Expected<void> ok) {
+    if (ok) {
+      list(name, about);
+    } else {
+      fault_ = std::move(ok);
+    }
+    return fault_.has_value();
+  }
+  const RunReportInput& input_;
+  fs::path dir_;
+  Expected<void> fault_;
+};
+
+/// Whether the folder was written by us.
+Expected<void> check_run(const fs::path& dir) {
+  std::error_code ec;
+  if (fs::is_regular_file(dir / kMarker, ec)) return {};
+  return fail(ErrorCode::not_found, "is not the folder of a finished run (it holds no run.json)",
+              dir.string(), "give the folder that `corvid replay --out` wrote");
+}
+
+}  // namespace
+
+Expected<void> check_run_folder(const fs::path& dir) {
+  const auto folder = AtomicFolder::create(dir, kMarker);
+  if (!folder) return tl::unexpected(folder.error());
+  return {};
+}
+
+Expected<void> write_run_folder(const RunReportInput& input, const fs::path& dir) {
+  auto folder = AtomicFolder::create(dir, kMarker);
+  if (!folder) return tl::unexpected(folder.error());
+  FolderWriter writer(input, folder->path());
+  if (auto ok = writer.write(); !ok) return ok;
+  writer.files.push_back({"run.json", "every number of this report", 0});
+  ReportFacts facts{input,          count_run(input.result),
+                    machine_info(), writer.options_yaml,
+                    writer.colmap,  writer.files};
+  const std::string json = report_json(facts);
+  facts.files.back().bytes = json.size();
+  if (auto ok = write_file_atomically(folder->path() / kMarker, json); !ok) return ok;
+  if (auto ok = write_file_atomically(folder->path() / "report.html", report_html(facts)); !ok) {
+    return ok;
+  }
+  return folder->commit();
+}
+
+Expected<TriangleMesh> load_run_mesh(const fs::path& dir) {
+  if (auto ok = check_run(dir); !ok) return tl::unexpected(ok.error());
+  std::error_code ec;
+  if (!fs::exists(dir / "mesh.drc", ec)) return TriangleMesh{};
+  return read_mesh(dir / "mesh.drc");
+}
+
+Expected<void> copy_run_colmap(const fs::path& dir, const fs::path& out) {
+  if (auto ok = check_run(dir); !ok) return ok;
+  std::error_code ec;
+  if (!fs::is_directory(dir / "colmap", ec)) {
+    return fail(ErrorCode::not_found, "the run has no COLMAP model: it made no map", dir.string());
+  }
+  // No file of ours marks a COLMAP folder: an existing one is never replaced unless it is empty.
+  auto folder = AtomicFolder::create(out, ".corvid-never-present");
+  if (!folder) {
+    Error error = folder.error();
+    if (error.code == ErrorCode::invalid_argument) {
+      error.what = "exists and is not empty";
+      error.hint = "choose another output folder, or remove this one yourself";
+    }
+    return tl::unexpected(std::move(error));
+  }
+  fs::copy(dir / "colmap", folder->path(), fs::copy_options::recursive, ec);
+  if (ec) return fail(ErrorCode::io, "cannot be copied: " + ec.message(), out.string());
+  return folder->commit();
+}
+
+}  // namespace corvid
