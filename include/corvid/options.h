@@ -8,18 +8,19 @@ namespace corvid {
 
 /// Image pyramid, corners, tracking (algorithms.md 1 to 4).
 struct FrontendOptions {
-  int max_tracks = 800;                 ///< features kept alive per frame
-  double corner_quality = 0.01;         ///< Q_c, share of the strongest lambda_min (thesis 4.2)
-  double harris_kappa = 0.04;           ///< Harris-Stephens kappa (thesis 4.2)
-  int template_px = 11;                 ///< NCC template side (thesis 4.1)
-  double min_score = 0.8;               ///< NCC score below which a track is lost
-  double peak_quality = 0.85;           ///< Q_m: peaks kept, share of the window's best (thesis 3.2)
-  double ratio_highest_scores = 1.1;    ///< tau_hsr (thesis 4.4.3)
-  double max_epipolar_px = 1.5;         ///< inlier distance of the epipolar RANSAC [px]
-  double corner_score_ratio = 5;        ///< tau_c: weak-corner removal (thesis 4.3)
-  double keyframe_min_tracked = 0.7;    ///< new keyframe when fewer of the last one's tracks live
-  double keyframe_parallax = 0.03;      ///< new keyframe at this median motion, share of the width
-  std::uint64_t seed = 1;               ///< of RANSAC
+  int max_tracks = 800;           ///< features kept alive per frame
+  double corner_quality = 0.001;  ///< Q_c, share of the strongest lambda_min; 0.01 in thesis 4.2,
+                                  ///< see docs/decisions/corner-quality.md
+  double harris_kappa = 0.04;     ///< Harris-Stephens kappa (thesis 4.2)
+  int template_px = 11;           ///< NCC template side (thesis 4.1)
+  double min_score = 0.8;         ///< NCC score below which a track is lost
+  double peak_quality = 0.85;     ///< Q_m: peaks kept, share of the window's best (thesis 3.2)
+  double ratio_highest_scores = 1.1;  ///< tau_hsr (thesis 4.4.3)
+  double max_epipolar_px = 1.5;       ///< inlier distance of the epipolar RANSAC [px]
+  double corner_score_ratio = 5;      ///< tau_c: weak-corner removal (thesis 4.3)
+  double keyframe_min_tracked = 0.7;  ///< new keyframe when fewer of the last one's tracks live
+  double keyframe_parallax = 0.03;    ///< new keyframe at this median motion, share of the width
+  std::uint64_t seed = 1;             ///< of RANSAC
   [[nodiscard]] std::vector<std::string> validate() const;
 };
 
@@ -41,14 +42,14 @@ struct BackendOptions {
 /// Depth maps, voxel map, mesh (algorithms.md 7 and 8).
 struct MappingOptions {
   bool enabled = true;
-  int neighbours = 4;              ///< M, views compared with a keyframe (thesis 6.4)
-  int depth_samples = 96;          ///< inverse-depth samples per ray
-  int depth_scale = 2;             ///< one ray per n x n pixels
-  int template_px = 11;            ///< NCC template side, Gaussian weight sigma = side/6 (thesis 6.2)
-  double min_score = 0.6;          ///< tau: a neighbour counts above it (thesis 6.4)
-  int min_views = 2;               ///< neighbours that must agree (thesis 6.4)
-  double voxel_size = 0;           ///< [map units]; 0: median scene depth of the start / 96
-  int max_blocks = 60000;          ///< 8x8x8 voxel blocks kept; the farthest are dropped first
+  int neighbours = 4;      ///< M, views compared with a keyframe (thesis 6.4)
+  int depth_samples = 96;  ///< inverse-depth samples per ray
+  int depth_scale = 2;     ///< one ray per n x n pixels
+  int template_px = 11;    ///< NCC template side, Gaussian weight sigma = side/6 (thesis 6.2)
+  double min_score = 0.6;  ///< tau: a neighbour counts above it (thesis 6.4)
+  int min_views = 2;       ///< neighbours that must agree (thesis 6.4)
+  double voxel_size = 0;   ///< [map units]; 0: median scene depth of the start / 96
+  int max_blocks = 60000;  ///< 8x8x8 voxel blocks kept; the farthest are dropped first
   [[nodiscard]] std::vector<std::string> validate() const;
 };
 
