@@ -13,9 +13,7 @@ constexpr double kTurn = 2 * std::numbers::pi;
 constexpr int kSteps = 8192;
 constexpr double kRoundRadius_m = 76, kHeight_m = 33;
 
-double own_speed(FlightPath path) {
-  return path == FlightPath::facade ? 2.5 : path == FlightPath::nadir ? 6 : 8;
-}
+double own_speed(FlightPath path) { return path == FlightPath::facade ? 2.5 : 7; }
 
 /// Distance of the round from the town's middle, as a share of its radius.
 double shape(double angle, double phase) {
@@ -85,7 +83,8 @@ Pose FlightCurve::round_pose(double lap, double pitch_rad) const {
   const auto swing = [&](int times, double shift) {
     return std::sin(kTurn * times * (lap - std::floor(lap)) + phase_ + shift);
   };
-  const double height = kHeight_m + 3 * swing(sway_, 0);
+  // A short loop sways less, so that its way stays that of its speed.
+  const double height = kHeight_m + std::min(3.0, 0.02 * length_m_) * swing(sway_, 0);
   return looking({p.x(), p.y(), height},
                  std::atan2(ahead.y(), ahead.x()) + 0.06 * swing(2 * sway_, 1),
                  pitch_rad + 0.05 * swing(sway_ + 1, 2), 0.05 * swing(2 * sway_ + 1, 3));
@@ -103,7 +102,7 @@ Pose FlightCurve::facade_pose(double t_s) const {
     ground += town_.terrain.height(q.x(), q.y()) / 13;
   }
   return looking({p.x(), p.y(), ground + 5.5 + 0.5 * std::sin(0.43 * t_s)},
-                 town_.plan.yaw_rad(along, across) + 1.25 + 0.05 * std::sin(0.5 * t_s),
+                 town_.plan.yaw_rad(along, across) + 1.4 + 0.05 * std::sin(0.5 * t_s),
                  0.03 + 0.02 * std::sin(0.7 * t_s), 0.02 * std::sin(0.6 * t_s));
 }
 

@@ -2,6 +2,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -14,6 +15,8 @@ namespace corvid {
 namespace {
 constexpr int kTile = 16, kSubTile = 8;
 constexpr double kFar_m = 2000;
+constexpr double kNoAngle = std::numeric_limits<double>::quiet_NaN();
+constexpr int kNoRay = -2, kSky = -1, kGround = 0;
 // Eight rooks: each of the eight columns and rows of the pixel has one sample, so that an edge of
 // any direction near the axes is seen in eight steps.
 constexpr double kSamples[8][2] = {{-0.4375, 0.0625},  {-0.3125, -0.3125}, {-0.1875, 0.3125},
@@ -27,15 +30,21 @@ struct Renderer::View {
   Eigen::Matrix3d R;
   std::vector<double>
       room;  ///< per plane: offset - normal . centre; negative where the camera sees it
+  struct Ball {
+    Eigen::Vector3d to;  ///< from the camera's centre to the solid's
+    double distance, radius;
+  };
+  std::vector<Ball> balls;  ///< one per solid
   std::vector<int> solids;  ///< all of them
 };
 
-/// What a ray meets. id: -2 no ray, -1 sky, 0 ground, 1 + plane index otherwise.
+/// What a ray meets.
 struct Renderer::Visible {
-  int id = -1;
+  int id = kSky;  ///< kSky, kGround, or 1 + the plane's index
   int solid = -1;
   double depth = 0;
-  Eigen::Vector3d ground_normal;
+  Eigen::Vector3d normal = Eigen::Vector3d::Zero();  ///< of the plane that was met, unit
+  double room = 0;                                   ///< normal . (point - centre)
 };
 
 Renderer::Renderer(std::shared_ptr<const Town> town, const Camera& camera, int threads)
@@ -65,6 +74,11 @@ Renderer::View Renderer::prepare(const Pose& T_world_camera) const {
   view.room.reserve(planes_.size());
   for (const Eigen::Vector4d& plane : planes_)
     view.room.push_back(plane.w() - plane.head<3>().dot(view.centre));
+  view.balls.reserve(town_->solids.size());
+  for (const Solid& solid : town_->solids) {
+    const Eigen::Vector3d to = solid.centre - view.centre;
+    view.balls.push_back({to, to.norm(), solid.radius});
+  }
   view.solids.resize(town_->solids.size());
   std::iota(view.solids.begin(), view.solids.end(), 0);
   return view;
@@ -77,33 +91,25 @@ std::vector<int> Renderer::candidates(const View& view, int x0, int y0, int x1, 
     return (view.R * rays_(x, y).homogeneous()).normalized();
   };
   const Eigen::Vector3d axis = direction((x0 + x1) / 2, (y0 + y1) / 2);
-  // The widest ray of a rectangle is on its border.
-  double cosine = 1;
-  bool all = !axis.allFinite();
-  const auto widen = [&](int x, int y) {
-    const double c = axis.dot(direction(x, y));
-    all = all || !std::isfinite(c);
-    cosine = std::min(cosine, c);
-  };
-  for (int x = x0; x <= x1; ++x)
-    for (const int y : {y0, y1}) widen(x, y);
-  for (int y = y0; y <= y1; ++y)
-    for (const int x : {x0, x1}) widen(x, y);
+  double cosine = 1;  // of the widest ray, which is at a corner
+  for (const int x : {x0, x1})
+    for (const int y : {y0, y1}) {
+      const double c = axis.dot(direction(x, y));
+      cosine = std::isfinite(c) && std::isfinite(cosine) ? std::min(cosine, c) : kNoAngle;
+    }
   double angle = std::acos(std::clamp(cosine, -1.0, 1.0));
   angle += 1.5 * angle / std::max(4, std::min(x1 - x0, y1 - y0));  // the border pixels' own width
-  all = all || angle > 1.5;
+  const bool all = !std::isfinite(angle) || angle > 1.5;
   const double c = std::cos(angle), s = std::sin(angle);
   std::vector<std::pair<double, int>> found;
   for (const int index : among) {
-    const Solid& solid = town_->solids[static_cast<std::size_t>(index)];
-    const Eigen::Vector3d to = solid.centre - view.centre;
-    const double distance = to.norm();
-    if (!all && distance > solid.radius) {
-      const double along = to.dot(axis);
-      const double off = std::sqrt(std::max(0.0, distance * distance - along * along));
-      if (off * c - along * s > solid.radius) continue;
+    const View::Ball& ball = view.balls[static_cast<std::size_t>(index)];
+    if (!all && ball.distance > ball.radius) {
+      const double along = ball.to.dot(axis);
+      const double off = std::sqrt(std::max(0.0, ball.distance * ball.distance - along * along));
+      if (off * c - along * s > ball.radius) continue;
     }
-    found.emplace_back(distance - solid.radius, index);
+    found.emplace_back(ball.distance - ball.radius, index);
   }
   std::sort(found.begin(), found.end());
   std::vector<int> result;
@@ -116,13 +122,14 @@ Renderer::Visible Renderer::cast(const View& view, const Eigen::Vector3d& ray,
                                  std::span<const int> solids) const {
   Visible visible;
   double best = kFar_m;
+  const double length = ray.norm();
   for (const int index : solids) {
     const auto i = static_cast<std::size_t>(index);
-    const Eigen::Vector3d to = town_->solids[i].centre - view.centre;
-    const double radius = town_->solids[i].radius;
-    // The sphere: |to - t ray| <= radius somewhere before best.
-    const double along = to.dot(ray), length2 = ray.squaredNorm();
-    if ((to.squaredNorm() - radius * radius) * length2 > along * along) continue;
+    const View::Ball& ball = view.balls[i];
+    if (ball.distance - ball.radius > best * length) break;  // and all that follow
+    const double along = ball.to.dot(ray);
+    const double gap2 = ball.distance * ball.distance - ball.radius * ball.radius;
+    if (gap2 > 0 && (along < 0 || gap2 * length * length > along * along)) continue;
     double in = 0, out = best;
     int face = -1;
     for (int k = first_plane_[i]; k < first_plane_[i + 1]; ++k) {
@@ -153,51 +160,61 @@ Renderer::Visible Renderer::cast(const View& view, const Eigen::Vector3d& ray,
   }
   if (const auto ground = town_->terrain.intersect(view.centre, ray, best)) {
     best = ground->t;
-    visible.id = 0;
-    visible.ground_normal = ground->normal;
+    visible.id = kGround;
+    visible.normal = ground->normal.normalized();
+    visible.room = best * visible.normal.dot(ray);
+  } else if (visible.id > kGround) {
+    const auto k = static_cast<std::size_t>(visible.id - 1);
+    visible.normal = planes_[k].head<3>();
+    visible.room = view.room[k];
   }
-  visible.depth = visible.id >= 0 ? best : 0;
+  visible.depth = visible.id >= kGround ? best : 0;
   return visible;
 }
 
+/// Light along a ray that meets the visible plane; it may be another ray than the one that found
+/// it.
 Eigen::Vector3f Renderer::colour(const View& view, const Visible& visible,
                                  const Eigen::Vector3d& ray, const Eigen::Vector3d& ray_dx,
                                  const Eigen::Vector3d& ray_dy) const {
-  if (visible.id < 0) return shade_sky(*town_, ray);
-  SurfaceHit hit;
-  const Solid* solid = nullptr;
-  const Face* face = nullptr;
-  if (visible.id == 0) {
-    hit.normal = visible.ground_normal.normalized();
-  } else {
-    const auto s = static_cast<std::size_t>(visible.solid);
-    solid = &town_->solids[s];
-    face = &solid->faces[static_cast<std::size_t>(visible.id - 1 - first_plane_[s])];
-    hit.normal = face->normal;
-  }
-  hit.point = view.centre + visible.depth * ray;
+  if (visible.id < kGround) return shade_sky(*town_, ray);
   // Differentials of a ray that meets a plane (Igehy, SIGGRAPH 1999), held back at grazing angles.
-  const double facing = std::min(-1e-3, hit.normal.dot(ray));
-  hit.dx = visible.depth * (ray_dx - ray * (hit.normal.dot(ray_dx) / facing));
-  hit.dy = visible.depth * (ray_dy - ray * (hit.normal.dot(ray_dy) / facing));
-  return solid ? shade_face(*town_, *solid, *face, hit) : shade_ground(*town_, hit);
+  const Eigen::Vector3d& normal = visible.normal;
+  const double facing = std::min(-1e-3, normal.dot(ray));
+  const double t = std::clamp(visible.room / facing, 0.5 * visible.depth, 2 * visible.depth);
+  SurfaceHit hit;
+  hit.normal = normal;
+  hit.point = view.centre + t * ray;
+  hit.dx = t * (ray_dx - ray * (normal.dot(ray_dx) / facing));
+  hit.dy = t * (ray_dy - ray * (normal.dot(ray_dy) / facing));
+  if (visible.id == kGround) return shade_ground(*town_, hit);
+  const auto s = static_cast<std::size_t>(visible.solid);
+  const Solid& solid = town_->solids[s];
+  const auto face = static_cast<std::size_t>(visible.id - 1 - first_plane_[s]);
+  return shade_face(*town_, solid, solid.faces[face], hit);
 }
 
-template <class Work>
-void Renderer::for_tiles(const View& view, const Work& work) const {
+/// Calls work(x, y, solids) for every pixel that is wanted, with all solids that its rays can meet.
+template <class Wanted, class Work>
+void Renderer::for_pixels(const View& view, const Wanted& wanted, const Work& work) const {
   const int width = rays_.width(), height = rays_.height();
   parallel_rows(height, kTile, threads_, [&](int first, int last) {
     const std::vector<int> band = candidates(view, 0, first, width - 1, last - 1, view.solids);
+    std::vector<Eigen::Vector2i> pixels;
     for (int x0 = 0; x0 < width; x0 += kTile) {
       const int x1 = std::min(width, x0 + kTile);
       const std::vector<int> tile = candidates(view, x0, first, x1 - 1, last - 1, band);
       for (int sub_y = first; sub_y < last; sub_y += kSubTile)
         for (int sub_x = x0; sub_x < x1; sub_x += kSubTile) {
-          const int end_x = std::min(x1, sub_x + kSubTile),
-                    end_y = std::min(last, sub_y + kSubTile);
-          const std::vector<int> near = candidates(view, sub_x, sub_y, end_x - 1, end_y - 1, tile);
+          const int end_x = std::min(x1, sub_x + kSubTile);
+          const int end_y = std::min(last, sub_y + kSubTile);
+          pixels.clear();
           for (int y = sub_y; y < end_y; ++y)
-            for (int x = sub_x; x < end_x; ++x) work(x, y, std::span<const int>(near));
+            for (int x = sub_x; x < end_x; ++x)
+              if (wanted(x, y)) pixels.emplace_back(x, y);
+          if (pixels.empty()) continue;
+          const std::vector<int> near = candidates(view, sub_x, sub_y, end_x - 1, end_y - 1, tile);
+          for (const Eigen::Vector2i& p : pixels) work(p.x(), p.y(), std::span<const int>(near));
         }
     }
   });
@@ -206,9 +223,10 @@ void Renderer::for_tiles(const View& view, const Work& work) const {
 FloatImage Renderer::depth(const Pose& T_world_camera) const {
   const View view = prepare(T_world_camera);
   FloatImage depth(rays_.width(), rays_.height());
-  for_tiles(view, [&](int x, int y, std::span<const int> solids) {
+  const auto has_ray = [&](int x, int y) { return rays_(x, y).allFinite(); };
+  for_pixels(view, has_ray, [&](int x, int y, std::span<const int> solids) {
     const Eigen::Vector3d ray = view.R * rays_(x, y).homogeneous();
-    if (ray.allFinite()) depth(x, y) = static_cast<float>(cast(view, ray, solids).depth);
+    depth(x, y) = static_cast<float>(cast(view, ray, solids).depth);
   });
   return depth;
 }
@@ -217,7 +235,7 @@ RadianceImage Renderer::render(const Pose& T_world_camera) const {
   const View view = prepare(T_world_camera);
   const int width = rays_.width(), height = rays_.height();
   RadianceImage image(width, height);
-  Image<int> ids(width, height, -2);
+  Image<int> ids(width, height, kNoRay);
   const auto ray_at = [&](int x, int y) -> Eigen::Vector3d {
     return view.R * rays_(x, y).homogeneous();
   };
@@ -230,32 +248,53 @@ RadianceImage Renderer::render(const Pose& T_world_camera) const {
     return std::pair<Eigen::Vector3d, Eigen::Vector3d>{view.R.leftCols<2>() * dx,
                                                        view.R.leftCols<2>() * dy};
   };
-  for_tiles(view, [&](int x, int y, std::span<const int> solids) {
+  const auto has_ray = [&](int x, int y) { return rays_(x, y).allFinite(); };
+  for_pixels(view, has_ray, [&](int x, int y, std::span<const int> solids) {
     const Eigen::Vector3d ray = ray_at(x, y);
-    if (!ray.allFinite()) return;
     const Visible visible = cast(view, ray, solids);
     ids(x, y) = visible.id;
     const auto [dx, dy] = ray_steps(x, y);
     const Eigen::Vector3f c = colour(view, visible, ray, dx, dy);
     image(x, y) = {c.x(), c.y(), c.z()};
   });
-  for_tiles(view, [&](int x, int y, std::span<const int> solids) {
+  // Where surfaces meet, each of them is shaded once, in the middle of its share of the pixel.
+  const auto is_edge = [&](int x, int y) {
     const int id = ids(x, y);
     const auto same = [&](int ox, int oy) {
       const int nx = x + ox, ny = y + oy;
       return nx < 0 || ny < 0 || nx >= width || ny >= height || ids(nx, ny) == id;
     };
-    if (id == -2 || (same(-1, 0) && same(1, 0) && same(0, -1) && same(0, 1))) return;
+    return id != kNoRay && !(same(-1, 0) && same(1, 0) && same(0, -1) && same(0, 1));
+  };
+  const auto mix_surfaces = [&](int x, int y, std::span<const int> solids) {
     const auto [dx, dy] = ray_steps(x, y);
     if (!dx.allFinite() || !dy.allFinite()) return;
-    Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+    struct Share {
+      Visible visible;
+      Eigen::Vector2d shift = Eigen::Vector2d::Zero();
+      int samples = 0;
+    };
+    std::array<Share, std::size(kSamples)> shares;
+    std::size_t found = 0;
     for (const auto& sample : kSamples) {
-      const Eigen::Vector3d ray = ray_at(x, y) + sample[0] * dx + sample[1] * dy;
-      sum += colour(view, cast(view, ray, solids), ray, dx, dy);
+      const Visible visible = cast(view, ray_at(x, y) + sample[0] * dx + sample[1] * dy, solids);
+      std::size_t i = 0;
+      while (i < found && shares[i].visible.id != visible.id) ++i;
+      if (i == found) shares[found++].visible = visible;
+      shares[i].shift += Eigen::Vector2d(sample[0], sample[1]);
+      ++shares[i].samples;
+    }
+    Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+    for (std::size_t i = 0; i < found; ++i) {
+      Share& share = shares[i];
+      const Eigen::Vector2d shift = share.shift / share.samples;
+      const Eigen::Vector3d ray = ray_at(x, y) + shift.x() * dx + shift.y() * dy;
+      sum += static_cast<float>(share.samples) * colour(view, share.visible, ray, dx, dy);
     }
     sum /= static_cast<float>(std::size(kSamples));
     image(x, y) = {sum.x(), sum.y(), sum.z()};
-  });
+  };
+  for_pixels(view, is_edge, mix_surfaces);
   return image;
 }
 

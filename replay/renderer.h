@@ -42,8 +42,8 @@ class Renderer {
   [[nodiscard]] Eigen::Vector3f colour(const View& view, const Visible& visible,
                                        const Eigen::Vector3d& ray, const Eigen::Vector3d& ray_dx,
                                        const Eigen::Vector3d& ray_dy) const;
-  template <class Work>
-  void for_tiles(const View& view, const Work& work) const;
+  template <class Wanted, class Work>
+  void for_pixels(const View& view, const Wanted& wanted, const Work& work) const;
 
   std::shared_ptr<const Town> town_;
   int threads_;

@@ -85,6 +85,9 @@ struct SyntheticFlight::Impl {
   [[nodiscard]] double seconds(std::size_t frame) const {
     return static_cast<double>(frame) / options.rate_hz;
   }
+  [[nodiscard]] std::int64_t time_ns(std::size_t frame) const {
+    return options.start_time_ns + std::llround(seconds(frame) * 1e9);
+  }
 
   FlightOptions options;
   std::size_t frames;
@@ -107,8 +110,7 @@ struct SyntheticFlight::Impl {
     sensor.seed = mix64(options.seed ^ mix64(frame));
     auto result = std::make_shared<Frame>();
     result->id = FrameId(static_cast<std::uint32_t>(frame));
-    result->time_ns =
-        options.start_time_ns + std::llround(static_cast<double>(frame) * 1e9 / options.rate_hz);
+    result->time_ns = time_ns(frame);
     result->colour = expose(light, sensor);
     result->grey = to_grey(result->colour);
     if (!options.colour) result->colour = {};
@@ -138,7 +140,9 @@ const Camera& SyntheticFlight::camera() const { return *impl_->camera; }
 
 Expected<FramePtr> SyntheticFlight::next(const std::stop_token& stop) {
   if (stop.stop_requested() || impl_->next >= impl_->frames) return FramePtr{};
-  return render(impl_->next++);
+  FramePtr frame = render(impl_->next);
+  ++impl_->next;
+  return frame;
 }
 
 SourceCounts SyntheticFlight::counts() const {
@@ -147,10 +151,7 @@ SourceCounts SyntheticFlight::counts() const {
   return counts;
 }
 
-std::int64_t SyntheticFlight::time_ns(std::size_t frame) const {
-  return impl_->options.start_time_ns +
-         std::llround(static_cast<double>(frame) * 1e9 / impl_->options.rate_hz);
-}
+std::int64_t SyntheticFlight::time_ns(std::size_t frame) const { return impl_->time_ns(frame); }
 
 Pose SyntheticFlight::true_pose(std::size_t frame) const {
   return impl_->curve.at(impl_->seconds(frame));

@@ -26,7 +26,7 @@ struct FlightOptions {
   double rate_hz = 20, duration_s = 20;
   std::uint64_t seed = 1;  ///< of the town, the path and the sensor noise
   FlightPath path = FlightPath::survey;
-  double speed_mps = 0;                      ///< 0: the path's own, 8 m/s for a survey
+  double speed_mps = 0;                      ///< 0: the path's own, 7 m/s for a survey
   CameraModel model = CameraModel::pinhole;  ///< the others with a typical distortion
   double horizontal_fov_rad = 1.4;
   bool colour = true;

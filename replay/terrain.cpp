@@ -45,6 +45,16 @@ Terrain::Terrain(std::uint64_t seed) {
       if (std::max(std::abs(x), std::abs(y)) <= kInner_m + kCell_m)
         inner_max_ = std::max(inner_max_, static_cast<double>(z));
     }
+  for (int j = 0; j <= kCells; ++j)
+    for (int i = 0; i <= kCells; ++i) {
+      const int w = std::max(0, i - 1), e = std::min(kCells, i + 1);
+      const int o = std::max(0, j - 1), n = std::min(kCells, j + 1);
+      const auto span_x = static_cast<float>((e - w) * kCell_m);
+      const auto span_y = static_cast<float>((n - o) * kCell_m);
+      normals_.push_back(
+          Eigen::Vector3f((at(w, j) - at(e, j)) / span_x, (at(i, o) - at(i, n)) / span_y, 1)
+              .normalized());
+    }
 }
 
 double Terrain::height(double x, double y) const {
@@ -58,10 +68,14 @@ double Terrain::height(double x, double y) const {
 }
 
 Eigen::Vector3f Terrain::smooth_normal(double x, double y) const {
-  const auto slope = [&](double dx, double dy) {
-    return (height(x + dx, y + dy) - height(x - dx, y - dy)) / (2 * kCell_m);
-  };
-  return Eigen::Vector3d(-slope(kCell_m, 0), -slope(0, kCell_m), 1).normalized().cast<float>();
+  const double gx = std::clamp((x + kHalf_m) / kCell_m, 0.0, kCells - 1e-9);
+  const double gy = std::clamp((y + kHalf_m) / kCell_m, 0.0, kCells - 1e-9);
+  const int i = static_cast<int>(gx), j = static_cast<int>(gy);
+  const auto fx = static_cast<float>(gx - i), fy = static_cast<float>(gy - j);
+  const Eigen::Vector3f* row = normals_.data() + j * (kCells + 1) + i;
+  const Eigen::Vector3f low = row[0] + fx * (row[1] - row[0]);
+  const Eigen::Vector3f high = row[kCells + 1] + fx * (row[kCells + 2] - row[kCells + 1]);
+  return (low + fy * (high - low)).normalized();
 }
 
 std::optional<Terrain::Hit> Terrain::intersect(const Eigen::Vector3d& origin,
@@ -111,17 +125,15 @@ std::optional<Terrain::Hit> Terrain::intersect(const Eigen::Vector3d& origin,
       if (g0 + g1 * to > 0 || g1 >= 0) return std::nullopt;
       return Hit{std::max(from, -g0 / g1), {-sx / kCell_m, -sy / kCell_m, 1}};
     };
-    // Which triangle: the sign of fx - fy, which changes at most once, at t_cross.
-    const double middle = 0.5 * (t + t_out);
-    const double slope = dx - dy, offset = fx0 - fy0;
-    const double t_cross = slope != 0 ? -offset / slope : kNever;
+    // Which triangle: the sign of fx - fy, which changes at most once on the way.
+    const double side = fx0 - fy0 + (dx - dy) * t, side_out = fx0 - fy0 + (dx - dy) * t_out;
     std::optional<Hit> hit;
-    if (t_cross > t && t_cross < t_out) {
-      const bool lower = slope < 0;  // before the crossing
-      hit = meet(lower, t, t_cross);
-      if (!hit) hit = meet(!lower, t_cross, t_out);
+    if ((side > 0 && side_out < 0) || (side < 0 && side_out > 0)) {
+      const double t_cross = t + (t_out - t) * side / (side - side_out);
+      hit = meet(side > 0, t, t_cross);
+      if (!hit) hit = meet(side < 0, t_cross, t_out);
     } else {
-      hit = meet(offset + slope * middle >= 0, t, t_out);
+      hit = meet(side + side_out >= 0, t, t_out);
     }
     if (hit) {
       if (hit->t <= 0 || hit->t >= t_max) return std::nullopt;

@@ -38,7 +38,8 @@ class Terrain {
     return heights_[static_cast<std::size_t>(j * (kCells + 1) + i)];
   }
   std::vector<float> heights_;
-  double inner_max_ = 0;  ///< highest ground within kInner_m of the middle
+  std::vector<Eigen::Vector3f> normals_;  ///< at the grid's points, blended
+  double inner_max_ = 0;                  ///< highest ground within kInner_m of the middle
   static constexpr double kInner_m = 230;
 };
 

@@ -149,9 +149,10 @@ float TileTexture::sample(const SurfacePoint& p, float texel_m) const {
   if (length <= 1) return bilinear(0, u, v);
   const float area = std::abs(p.ux * p.vy - p.uy * p.vx) * inverse * inverse;
   const float width = area / length;
-  // As many probes as the footprint is longer than wide; what is left is blurred, not aliased.
-  const int probes = std::clamp(static_cast<int>(length / (width + 0.2f) + 0.5f), 1, 4);
-  const float lod = rough_log2(std::max({width, length / static_cast<float>(probes), 1e-3f}));
+  // Probes along the long side; one will do up to twice the width, between blur and aliasing.
+  const int probes = std::clamp(static_cast<int>(length / (width + 0.2f)), 1, 4);
+  const float step = length / static_cast<float>(probes);
+  const float lod = 0.5f * (rough_log2(std::max(width, 0.25f * step)) + rough_log2(step));
   if (probes == 1) return trilinear(lod, u, v);
   const double du = static_cast<double>((x_is_long ? p.ux : p.uy) * inverse);
   const double dv = static_cast<double>((x_is_long ? p.vx : p.vy) * inverse);
