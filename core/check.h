@@ -10,7 +10,7 @@ namespace corvid {
 
 }  // namespace corvid
 
-#define CORVID_CHECK(condition, message)                                      \
-  do {                                                                        \
+#define CORVID_CHECK(condition, message)                                               \
+  do {                                                                                 \
     if (!(condition)) ::corvid::check_failed(__FILE__, __LINE__, #condition, message); \
   } while (false)

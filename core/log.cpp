@@ -5,8 +5,8 @@
 namespace corvid {
 namespace {
 std::shared_ptr<spdlog::logger>& instance() {
-  static std::shared_ptr<spdlog::logger> logger = std::make_shared<spdlog::logger>(
-      "corvid", std::make_shared<spdlog::sinks::null_sink_mt>());
+  static std::shared_ptr<spdlog::logger> logger =
+      std::make_shared<spdlog::logger>("corvid", std::make_shared<spdlog::sinks::null_sink_mt>());
   return logger;
 }
 }  // namespace

@@ -26,8 +26,7 @@ using Expected = tl::expected<T, Error>;
 /// For returning: `return fail(ErrorCode::io, "cannot be opened", path, "check the path");`
 [[nodiscard]] inline tl::unexpected<Error> fail(ErrorCode code, std::string what,
                                                 std::string where = {}, std::string hint = {}) {
-  return tl::unexpected<Error>(
-      Error{code, std::move(what), std::move(where), std::move(hint)});
+  return tl::unexpected<Error>(Error{code, std::move(what), std::move(where), std::move(hint)});
 }
 
 }  // namespace corvid

@@ -26,12 +26,12 @@ struct PoseEvent {
   std::optional<Pose> T_world_camera;  ///< absent while starting or lost
   /// Of the pose's right perturbation (rho, phi) [map units, rad]; zero if there is no pose.
   Matrix6d covariance = Matrix6d::Zero();
-  int tracks = 0;        ///< image tracks in this frame
-  int inliers = 0;       ///< landmarks that agree with the pose
-  double mse_px2 = 0;    ///< mean squared reprojection error of the inliers, thesis (3.15)
+  int tracks = 0;      ///< image tracks in this frame
+  int inliers = 0;     ///< landmarks that agree with the pose
+  double mse_px2 = 0;  ///< mean squared reprojection error of the inliers, thesis (3.15)
   bool keyframe = false;
-  int segment = 0;       ///< map segment; rises when a lost camera starts a new map
-  double latency_ms = 0; ///< from the frame's entry into the engine to this event
+  int segment = 0;        ///< map segment; rises when a lost camera starts a new map
+  double latency_ms = 0;  ///< from the frame's entry into the engine to this event
 };
 
 struct Landmark {

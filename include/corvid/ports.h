@@ -20,7 +20,7 @@ enum class IntrinsicsOrigin { calibration, exif, guess };
 
 /// What a source says of itself before the first frame.
 struct SourceInfo {
-  std::string kind;                   ///< "EuRoC/ASL", "KITTI odometry", "image folder", ...
+  std::string kind;  ///< "EuRoC/ASL", "KITTI odometry", "image folder", ...
   std::string path;
   std::optional<std::size_t> frames;  ///< if known
   double rate_hz = 0;                 ///< nominal; 0 if unknown
@@ -29,15 +29,15 @@ struct SourceInfo {
   bool colour = false;
   std::shared_ptr<const Camera> camera;
   IntrinsicsOrigin intrinsics = IntrinsicsOrigin::calibration;
-  bool has_depth = false;             ///< depth images lie beside the frames
-  std::vector<std::string> notes;     ///< anything the user should know, one sentence each
+  bool has_depth = false;          ///< depth images lie beside the frames
+  std::vector<std::string> notes;  ///< anything the user should know, one sentence each
 };
 
 /// Frames that did not come through, with the reasons.
 struct SourceCounts {
   std::uint64_t delivered = 0;
-  std::uint64_t skipped = 0;   ///< could not be read: missing, corrupt, changed size, time went back
-  std::uint64_t dropped = 0;   ///< came too late for the consumer (paced replay, live)
+  std::uint64_t skipped = 0;  ///< could not be read: missing, corrupt, changed size, time went back
+  std::uint64_t dropped = 0;  ///< came too late for the consumer (paced replay, live)
   std::vector<std::string> messages;  ///< one per skip, at most 100
 };
 
