@@ -141,7 +141,7 @@ inline float make_template(__global const uchar* reference, int width, int heigh
   const float scale = 1.0f / sqrt(variance);
   for (int i = 0; i < AREA; ++i) sum += (t[i] *= scale);
 #ifdef CORVID_PLANT_FAULT
-  t[AREA - 1] = 0.0f;
+  t[AREA / 2 + 1] = 0.0f;
 #endif
   return sum;
 }
