@@ -13,7 +13,7 @@ constexpr double kTurn = 2 * std::numbers::pi;
 constexpr int kSteps = 8192;
 constexpr double kRoundRadius_m = 76, kHeight_m = 33;
 
-double own_speed(FlightPath path) { return path == FlightPath::facade ? 2.5 : 7; }
+double own_speed(FlightPath path) { return path == FlightPath::facade ? 1.6 : 7; }
 
 /// Distance of the round from the town's middle, as a share of its radius.
 double shape(double angle, double phase) {
@@ -93,7 +93,8 @@ Pose FlightCurve::round_pose(double lap, double pitch_rad) const {
 Pose FlightCurve::facade_pose(double t_s) const {
   // To and fro through the middle street, on its south side, looking north and a little ahead.
   constexpr double kReach_m = 105;
-  const double along = kReach_m * std::sin(speed_mps_ * t_s / kReach_m);
+  constexpr double kStart_m = 8;  // where the first house's windows begin
+  const double along = kReach_m * std::sin(speed_mps_ * t_s / kReach_m + kStart_m / kReach_m);
   const double across = -3.2 + 0.4 * std::sin(0.31 * t_s);
   const Eigen::Vector2d p = town_.plan.to_world(along, across);
   double ground = 0;  // smoothed, so that the path has no corners

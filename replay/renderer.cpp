@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <optional>
 #include <span>
 
 #include "replay/parallel_rows.h"
@@ -63,6 +64,7 @@ Renderer::Renderer(std::shared_ptr<const Town> town, const Camera& camera, int t
     first_plane_.push_back(static_cast<int>(planes_.size()));
     for (const Face& face : solid.faces)
       planes_.emplace_back(face.normal.x(), face.normal.y(), face.normal.z(), face.offset);
+    solid_of_.resize(planes_.size(), static_cast<int>(first_plane_.size()) - 1);
   }
   first_plane_.push_back(static_cast<int>(planes_.size()));
 }
@@ -118,8 +120,10 @@ std::vector<int> Renderer::candidates(const View& view, int x0, int y0, int x1, 
   return result;
 }
 
+/// The first thing that a ray meets among the solids (nearest first) and, if asked for or if it is
+/// none of them, the ground.
 Renderer::Visible Renderer::cast(const View& view, const Eigen::Vector3d& ray,
-                                 std::span<const int> solids) const {
+                                 std::span<const int> solids, bool ground) const {
   Visible visible;
   double best = kFar_m;
   const double length = ray.norm();
@@ -158,10 +162,12 @@ Renderer::Visible Renderer::cast(const View& view, const Eigen::Vector3d& ray,
       visible.solid = index;
     }
   }
-  if (const auto ground = town_->terrain.intersect(view.centre, ray, best)) {
-    best = ground->t;
+  std::optional<Terrain::Hit> hit;
+  if (ground || visible.id == kSky) hit = town_->terrain.intersect(view.centre, ray, best);
+  if (hit) {
+    best = hit->t;
     visible.id = kGround;
-    visible.normal = ground->normal.normalized();
+    visible.normal = hit->normal.normalized();
     visible.room = best * visible.normal.dot(ray);
   } else if (visible.id > kGround) {
     const auto k = static_cast<std::size_t>(visible.id - 1);
@@ -194,13 +200,12 @@ Eigen::Vector3f Renderer::colour(const View& view, const Visible& visible,
   return shade_face(*town_, solid, solid.faces[face], hit);
 }
 
-/// Calls work(x, y, solids) for every pixel that is wanted, with all solids that its rays can meet.
-template <class Wanted, class Work>
-void Renderer::for_pixels(const View& view, const Wanted& wanted, const Work& work) const {
+/// Calls work(x, y, solids) for every pixel that has a ray, with all solids that its ray can meet.
+template <class Work>
+void Renderer::for_pixels(const View& view, const Work& work) const {
   const int width = rays_.width(), height = rays_.height();
   parallel_rows(height, kTile, threads_, [&](int first, int last) {
     const std::vector<int> band = candidates(view, 0, first, width - 1, last - 1, view.solids);
-    std::vector<Eigen::Vector2i> pixels;
     for (int x0 = 0; x0 < width; x0 += kTile) {
       const int x1 = std::min(width, x0 + kTile);
       const std::vector<int> tile = candidates(view, x0, first, x1 - 1, last - 1, band);
@@ -208,13 +213,10 @@ void Renderer::for_pixels(const View& view, const Wanted& wanted, const Work& wo
         for (int sub_x = x0; sub_x < x1; sub_x += kSubTile) {
           const int end_x = std::min(x1, sub_x + kSubTile);
           const int end_y = std::min(last, sub_y + kSubTile);
-          pixels.clear();
+          const std::vector<int> near = candidates(view, sub_x, sub_y, end_x - 1, end_y - 1, tile);
           for (int y = sub_y; y < end_y; ++y)
             for (int x = sub_x; x < end_x; ++x)
-              if (wanted(x, y)) pixels.emplace_back(x, y);
-          if (pixels.empty()) continue;
-          const std::vector<int> near = candidates(view, sub_x, sub_y, end_x - 1, end_y - 1, tile);
-          for (const Eigen::Vector2i& p : pixels) work(p.x(), p.y(), std::span<const int>(near));
+              if (rays_(x, y).allFinite()) work(x, y, std::span<const int>(near));
         }
     }
   });
@@ -223,8 +225,7 @@ void Renderer::for_pixels(const View& view, const Wanted& wanted, const Work& wo
 FloatImage Renderer::depth(const Pose& T_world_camera) const {
   const View view = prepare(T_world_camera);
   FloatImage depth(rays_.width(), rays_.height());
-  const auto has_ray = [&](int x, int y) { return rays_(x, y).allFinite(); };
-  for_pixels(view, has_ray, [&](int x, int y, std::span<const int> solids) {
+  for_pixels(view, [&](int x, int y, std::span<const int> solids) {
     const Eigen::Vector3d ray = view.R * rays_(x, y).homogeneous();
     depth(x, y) = static_cast<float>(cast(view, ray, solids).depth);
   });
@@ -248,8 +249,7 @@ RadianceImage Renderer::render(const Pose& T_world_camera) const {
     return std::pair<Eigen::Vector3d, Eigen::Vector3d>{view.R.leftCols<2>() * dx,
                                                        view.R.leftCols<2>() * dy};
   };
-  const auto has_ray = [&](int x, int y) { return rays_(x, y).allFinite(); };
-  for_pixels(view, has_ray, [&](int x, int y, std::span<const int> solids) {
+  for_pixels(view, [&](int x, int y, std::span<const int> solids) {
     const Eigen::Vector3d ray = ray_at(x, y);
     const Visible visible = cast(view, ray, solids);
     ids(x, y) = visible.id;
@@ -257,16 +257,31 @@ RadianceImage Renderer::render(const Pose& T_world_camera) const {
     const Eigen::Vector3f c = colour(view, visible, ray, dx, dy);
     image(x, y) = {c.x(), c.y(), c.z()};
   });
-  // Where surfaces meet, each of them is shaded once, in the middle of its share of the pixel.
-  const auto is_edge = [&](int x, int y) {
+  // Where surfaces meet, eight rays find their shares, among what the pixel and its neighbours
+  // see; each surface is shaded once, in the middle of its share.
+  const auto mix_surfaces = [&](int x, int y) {
     const int id = ids(x, y);
-    const auto same = [&](int ox, int oy) {
-      const int nx = x + ox, ny = y + oy;
-      return nx < 0 || ny < 0 || nx >= width || ny >= height || ids(nx, ny) == id;
+    if (id == kNoRay) return;
+    std::array<int, 9> solids{};
+    std::size_t count = 0;
+    bool edge = false, ground = false;
+    for (int ny = std::max(0, y - 1); ny <= std::min(height - 1, y + 1); ++ny)
+      for (int nx = std::max(0, x - 1); nx <= std::min(width - 1, x + 1); ++nx) {
+        const int other = ids(nx, ny);
+        edge = edge || (other != id && (nx == x || ny == y));
+        ground = ground || other == kGround;
+        if (other <= kGround) continue;
+        const int solid = solid_of_[static_cast<std::size_t>(other - 1)];
+        const auto end = solids.begin() + static_cast<std::ptrdiff_t>(count);
+        if (std::find(solids.begin(), end, solid) == end) solids[count++] = solid;
+      }
+    if (!edge) return;
+    const auto near = [&](int solid) {
+      const View::Ball& ball = view.balls[static_cast<std::size_t>(solid)];
+      return ball.distance - ball.radius;
     };
-    return id != kNoRay && !(same(-1, 0) && same(1, 0) && same(0, -1) && same(0, 1));
-  };
-  const auto mix_surfaces = [&](int x, int y, std::span<const int> solids) {
+    std::sort(solids.begin(), solids.begin() + static_cast<std::ptrdiff_t>(count),
+              [&](int a, int b) { return near(a) < near(b) || (near(a) == near(b) && a < b); });
     const auto [dx, dy] = ray_steps(x, y);
     if (!dx.allFinite() || !dy.allFinite()) return;
     struct Share {
@@ -277,7 +292,8 @@ RadianceImage Renderer::render(const Pose& T_world_camera) const {
     std::array<Share, std::size(kSamples)> shares;
     std::size_t found = 0;
     for (const auto& sample : kSamples) {
-      const Visible visible = cast(view, ray_at(x, y) + sample[0] * dx + sample[1] * dy, solids);
+      const Visible visible = cast(view, ray_at(x, y) + sample[0] * dx + sample[1] * dy,
+                                   {solids.data(), count}, ground);
       std::size_t i = 0;
       while (i < found && shares[i].visible.id != visible.id) ++i;
       if (i == found) shares[found++].visible = visible;
@@ -294,7 +310,10 @@ RadianceImage Renderer::render(const Pose& T_world_camera) const {
     sum /= static_cast<float>(std::size(kSamples));
     image(x, y) = {sum.x(), sum.y(), sum.z()};
   };
-  for_pixels(view, is_edge, mix_surfaces);
+  parallel_rows(height, kTile, threads_, [&](int first, int last) {
+    for (int y = first; y < last; ++y)
+      for (int x = 0; x < width; ++x) mix_surfaces(x, y);
+  });
   return image;
 }
 

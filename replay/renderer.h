@@ -38,12 +38,12 @@ class Renderer {
   [[nodiscard]] std::vector<int> candidates(const View& view, int x0, int y0, int x1, int y1,
                                             std::span<const int> among) const;
   [[nodiscard]] Visible cast(const View& view, const Eigen::Vector3d& ray,
-                             std::span<const int> solids) const;
+                             std::span<const int> solids, bool ground = true) const;
   [[nodiscard]] Eigen::Vector3f colour(const View& view, const Visible& visible,
                                        const Eigen::Vector3d& ray, const Eigen::Vector3d& ray_dx,
                                        const Eigen::Vector3d& ray_dy) const;
-  template <class Wanted, class Work>
-  void for_pixels(const View& view, const Wanted& wanted, const Work& work) const;
+  template <class Work>
+  void for_pixels(const View& view, const Work& work) const;
 
   std::shared_ptr<const Town> town_;
   int threads_;
@@ -51,6 +51,7 @@ class Renderer {
   /// All solids' planes one after the other, in the order of their faces.
   std::vector<Eigen::Vector4d> planes_;  ///< normal, offset
   std::vector<int> first_plane_;         ///< per solid, and one past the last
+  std::vector<int> solid_of_;            ///< per plane
 };
 
 }  // namespace corvid
