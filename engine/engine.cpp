@@ -139,7 +139,10 @@ void Engine::Impl::Run::estimate(const TimedTracks& timed) {
 bool Engine::Impl::Run::map_once(const MapSnapshot& snapshot) {
   Stopwatch watch;
   const bool worked = mapper->step(snapshot);
-  if (worked) metrics.add("mapping", watch.lap_ms());
+  if (worked) {
+    metrics.add("mapping", watch.lap_ms());
+    for (const auto& [part, ms] : mapper->last_timings()) metrics.add("mapping/" + part, ms);
+  }
   return worked;
 }
 
@@ -239,6 +242,17 @@ void Engine::Impl::Run::finish(bool interrupted) {
     result.mesh = mapper->mesh();
     result.voxel_size = mapper->voxel_size();
     for (const auto& depth_map : mapper->depth_maps()) result.depth_maps.push_back(*depth_map);
+    const MapperStatistics statistics = mapper->statistics();
+    result.notes.push_back(fmt::format(
+        "Mapping: {} depth maps ({:.0f} % of the rays answered), {} keyframes without an "
+        "answer, {} too near to the one before, {} fused anew after their pose moved, {} "
+        "voxel blocks.",
+        statistics.depth_maps, 100 * statistics.answered, statistics.without_depth,
+        statistics.skipped, statistics.refusions, statistics.blocks));
+    if (statistics.dropped_blocks > 0)
+      result.notes.push_back(fmt::format(
+          "{} voxel blocks were dropped or not made: the map's budget is mapping.max_blocks = {}.",
+          statistics.dropped_blocks, engine.options.mapping.max_blocks));
   }
   const std::uint64_t dropped = result.counts.dropped;
   result.counts = source.counts();
