@@ -61,6 +61,16 @@ class TalkGuard {
   TalkGuard& operator=(const TalkGuard&) = delete;
 };
 
+// An argument as a shell would take it.
+std::string quoted(const std::string& argument) {
+  constexpr const char* kPlain =
+      "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-+=./:,@%~";
+  if (!argument.empty() && argument.find_first_not_of(kPlain) == std::string::npos) return argument;
+  std::string text = "'";
+  for (const char c : argument) text += c == '\'' ? std::string("'\\''") : std::string(1, c);
+  return text + "'";
+}
+
 const CLI::App* chosen(const CLI::App& app) {
   const auto parsed = app.get_subcommands();
   return parsed.empty() ? nullptr : parsed.front();
@@ -178,6 +188,7 @@ ExitCode exit_code(ErrorCode code) {
 }
 
 int run_program(int argc, const char* const* argv, Context context) {
+  for (int i = 0; i < argc; ++i) context.command_line += (i == 0 ? "" : " ") + quoted(argv[i]);
   try {
     return static_cast<int>(run(argc, argv, context));
   } catch (const std::exception& error) {

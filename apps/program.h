@@ -1,6 +1,7 @@
 #pragma once
 
 #include <iosfwd>
+#include <string>
 
 #include "corvid/error.h"
 
@@ -23,8 +24,9 @@ enum class ExitCode : int {
 struct Context {
   std::ostream& out;
   std::ostream& err;
-  bool terminal = false;  ///< err is a terminal: progress may be drawn
-  bool quiet = false;     ///< -q: warnings and errors only
+  bool terminal = false;       ///< err is a terminal: progress may be drawn
+  bool quiet = false;          ///< -q: warnings and errors only
+  std::string command_line{};  ///< as it was typed; set by run_program()
 };
 
 /// The whole program. Never throws; the result is an ExitCode.

@@ -8,12 +8,15 @@ set(CORVID_PACKAGE_DIR "${CMAKE_INSTALL_LIBDIR}/cmake/corvid")
 list(TRANSFORM CORVID_ROOMS PREPEND corvid_ OUTPUT_VARIABLE room_targets)
 
 install(DIRECTORY include/corvid DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
-# The openers of sources, trajectories and options belong to the library's users too.
-install(FILES io/source.h io/trajectory_file.h io/options_file.h io/mesh_files.h
-        DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/io)
-install(FILES replay/synthetic_flight.h replay/player.h
-        DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/replay)
-install(FILES core/clock.h core/log.h DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/core)
+# The openers of sources, trajectories, options and meshes are for the library's users, too. They keep
+# the names that they have in the tree, below a folder of their own.
+set(CORVID_ROOM_HEADERS "${CMAKE_INSTALL_INCLUDEDIR}/corvid/rooms")
+install(FILES io/source.h io/calibration.h io/trajectory_file.h io/options_file.h io/mesh_files.h
+        DESTINATION ${CORVID_ROOM_HEADERS}/io)
+install(FILES replay/synthetic_flight.h replay/player.h replay/recorder.h
+        DESTINATION ${CORVID_ROOM_HEADERS}/replay)
+install(FILES core/clock.h core/log.h DESTINATION ${CORVID_ROOM_HEADERS}/core)
+target_include_directories(corvid_core INTERFACE $<INSTALL_INTERFACE:${CORVID_ROOM_HEADERS}>)
 install(TARGETS ${room_targets} corvid_draco corvid_opencv EXPORT corvid_targets
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
 install(EXPORT corvid_targets NAMESPACE corvid:: FILE corvid-targets.cmake
@@ -27,3 +30,16 @@ install(FILES ${PROJECT_BINARY_DIR}/corvidConfig.cmake ${PROJECT_BINARY_DIR}/cor
 
 install(TARGETS corvid_program RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
 install(FILES README.md LICENSE NOTICE CHANGELOG.md DESTINATION ${CMAKE_INSTALL_DOCDIR})
+
+# A consumer's project, built against an installed copy.
+if(CORVID_TESTS)
+  set(consumer_flags "")
+  if(CORVID_SANITIZE)
+    set(consumer_flags "-fsanitize=${CORVID_SANITIZE}")
+  endif()
+  add_test(NAME install.consumer
+           COMMAND ${CMAKE_COMMAND} -DBUILD=${PROJECT_BINARY_DIR} -DSOURCE=${PROJECT_SOURCE_DIR}
+                   -DWORK=${PROJECT_BINARY_DIR}/install-test -DCXX=${CMAKE_CXX_COMPILER}
+                   -DFLAGS=${consumer_flags} -P ${PROJECT_SOURCE_DIR}/tests/install/check.cmake)
+  set_tests_properties(install.consumer PROPERTIES LABELS slow TIMEOUT 900)
+endif()

@@ -1,0 +1,66 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <filesystem>
+#include <memory>
+#include <ostream>
+#include <string>
+
+#include "apps/command_list.h"
+#include "apps/run_folder.h"
+#include "io/mesh_files.h"
+
+namespace corvid {
+namespace {
+
+struct Arguments {
+  std::string run, format, out;
+};
+
+Expected<ExitCode> run(const Arguments& arguments, Context& context) {
+  const std::filesystem::path folder = arguments.run;
+  if (arguments.format == "colmap") {
+    const auto out =
+        arguments.out.empty() ? folder / "colmap-export" : std::filesystem::path(arguments.out);
+    if (auto copied = copy_run_colmap(folder, out); !copied) return tl::unexpected(copied.error());
+    context.out << out.string() << '\n';
+    return ExitCode::ok;
+  }
+  const auto mesh = load_run_mesh(folder);
+  if (!mesh) return tl::unexpected(mesh.error());
+  if (mesh->empty()) {
+    return fail(ErrorCode::not_found, "the run made no mesh", arguments.run,
+                "it was flown with --no-mapping, or saw too little to map; its report says more");
+  }
+  const auto format = mesh_format_from_name(arguments.format);
+  const std::string name =
+      arguments.format == "glb-plain" ? "mesh-plain.glb" : "mesh." + arguments.format;
+  const auto out = arguments.out.empty() ? folder / name : std::filesystem::path(arguments.out);
+  if (auto written = write_mesh(*mesh, out, format); !written) {
+    return tl::unexpected(written.error());
+  }
+  context.out << fmt::format("{}: {} vertices, {} triangles\n", out.string(), mesh->vertices.size(),
+                             mesh->triangles.size());
+  return ExitCode::ok;
+}
+
+}  // namespace
+
+Action add_export_command(CLI::App& app) {
+  auto a = std::make_shared<Arguments>();
+  CLI::App* command = app.add_subcommand("export", "Write a run's mesh or map in another format");
+  command->add_option("DIR", a->run, "The folder of a finished run")->required();
+  command->add_option("--format", a->format, "ply, obj, glb, glb-plain, drc or colmap")
+      ->required()
+      ->check(CLI::IsMember({"ply", "obj", "glb", "glb-plain", "drc", "colmap"}));
+  command->add_option("--out", a->out,
+                      "File (colmap: new folder) to write; default: inside the run's folder");
+  command->footer(R"(
+Examples:
+  corvid export run --format ply                          run/mesh.ply
+  corvid export run --format colmap --out for-openmvs     sparse/ and images/
+)");
+  return [a](Context& context) { return run(*a, context); };
+}
+
+}  // namespace corvid

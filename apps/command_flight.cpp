@@ -1,0 +1,278 @@
+#include "apps/command_flight.h"
+
+#include <fmt/format.h>
+
+#include <map>
+#include <nlohmann/json.hpp>
+#include <ostream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "apps/evaluation.h"
+#include "apps/program_source.h"
+#include "apps/progress.h"
+#include "apps/report_numbers.h"
+#include "apps/run_folder.h"
+#include "apps/surface_errors.h"
+#include "core/clock.h"
+#include "core/log.h"
+#include "corvid/engine.h"
+#include "replay/player.h"
+#include "replay/synthetic_flight.h"
+
+namespace corvid {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+
+// Hands every event to all who listen.
+class Fanout final : public PoseSink, public MeshSink {
+ public:
+  template <class Sink>
+  void add(Sink* sink) {
+    poses_.push_back(sink);
+    meshes_.push_back(sink);
+  }
+  void on_pose(const PoseEvent& event) override {
+    for (PoseSink* sink : poses_) sink->on_pose(event);
+  }
+  void on_block(const MeshBlock& block) override {
+    for (MeshSink* sink : meshes_) sink->on_block(block);
+  }
+
+ private:
+  std::vector<PoseSink*> poses_;
+  std::vector<MeshSink*> meshes_;
+};
+
+// The part of the true surface that the flight's camera saw: points that lie on the depth of one
+// of the frames, evenly picked.
+std::function<bool(const Eigen::Vector3d&)> seen_by(const SyntheticFlight& flight) {
+  constexpr std::size_t kViews = 40;
+  constexpr double kTolerance = 0.01;  // of the depth; a pixel of a slanted roof spans about this
+  struct View {
+    Pose T_camera_world;
+    FloatImage depth;
+  };
+  const std::size_t step = std::max<std::size_t>(1, flight.frame_count() / kViews);
+  auto views = std::make_shared<std::vector<View>>();
+  for (std::size_t i = 0; i < flight.frame_count(); i += step) {
+    views->push_back({flight.true_pose(i).inverse(), flight.render_depth(i)});
+  }
+  return [views, camera = flight.camera()](const Eigen::Vector3d& p_world) {
+    for (const View& view : *views) {
+      const Eigen::Vector3d p_camera = view.T_camera_world * p_world;
+      const auto pixel = camera.project(p_camera);
+      if (!pixel || !camera.in_image(*pixel)) continue;
+      const double depth = view.depth(static_cast<int>(std::lround(pixel->x())),
+                                      static_cast<int>(std::lround(pixel->y())));
+      if (depth > 0 && std::abs(p_camera.z() - depth) < kTolerance * depth) return true;
+    }
+    return false;
+  };
+}
+
+struct Truth {
+  std::optional<TrajectoryErrors> trajectory;
+  std::optional<SurfaceErrors> surface;
+};
+
+Truth compare(const RunResult& result, const FrameSource& source, const Trajectory& given) {
+  Truth truth;
+  const Trajectory poses = given.empty() ? source.truth() : given;
+  if (poses.empty()) return truth;
+  truth.trajectory = evaluate(result.trajectory, poses);
+  if (!truth.trajectory->problem.empty() || result.mesh.empty()) return truth;
+  if (const auto surface = source.true_surface()) {
+    log().info("comparing the mesh with the true surface");
+    SurfaceOptions options;
+    if (const auto* flight = dynamic_cast<const SyntheticFlight*>(&source)) {
+      options.seen = seen_by(*flight);
+    }
+    truth.surface =
+        compare_surfaces(result.mesh, *surface, truth.trajectory->T_truth_estimate, options);
+  }
+  return truth;
+}
+
+// Why no frame got a pose: the reason that most frames gave.
+std::string commonest_reason(const RunResult& result) {
+  std::map<std::string, std::size_t> reasons;
+  for (const PoseEvent& event : result.events) {
+    if (!event.reason.empty()) ++reasons[event.reason];
+  }
+  std::string best = "the engine gave no reason";
+  std::size_t most = 0;
+  for (const auto& [reason, count] : reasons) {
+    if (count <= most) continue;
+    most = count;
+    best = fmt::format("{} ({} of {} frames)", reason, count, result.events.size());
+  }
+  return best;
+}
+
+std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, const Truth& truth,
+                                 const fs::path& out) {
+  std::vector<std::string> lines;
+  const auto row = [&lines](std::string_view name, const std::string& text) {
+    lines.push_back(fmt::format("{:<10} {}", name, text));
+  };
+  row("source", describe(result.source));
+  row("frames",
+      fmt::format("{} delivered, {} skipped, {} dropped", n.delivered, n.skipped, n.dropped));
+  std::string states;
+  for (std::size_t i = 0; i < n.states.size(); ++i) {
+    states += fmt::format("{}{} {}", i == 0 ? "" : ", ", to_string(static_cast<TrackingState>(i)),
+                          n.states[i]);
+  }
+  row("poses", fmt::format("{} of {} frames ({}; {} untracked after the start)", n.poses, n.events,
+                           states, n.untracked_after_start));
+  row("map", fmt::format("{} keyframes, {} landmarks, {} segment{}", n.keyframes, n.landmarks,
+                         n.segments, n.segments == 1 ? "" : "s"));
+  if (result.options.mapping.enabled) {
+    row("mesh", fmt::format("{} triangles from {} depth maps", n.triangles, n.depth_maps));
+  }
+  if (truth.trajectory && truth.trajectory->problem.empty()) {
+    const TrajectoryErrors& e = *truth.trajectory;
+    row("ATE", fmt::format("{:.4f} m over {:.2f} m ({:.3f} % of the length), {} poses, Sim(3)",
+                           e.position_m.rmse, e.path_length_m,
+                           e.path_length_m > 0 ? 100 * e.position_m.rmse / e.path_length_m : 0.0,
+                           e.matched));
+  } else if (truth.trajectory) {
+    row("ATE", "none: " + truth.trajectory->problem);
+  }
+  if (truth.surface && truth.surface->problem.empty()) {
+    const SurfaceErrors& e = *truth.surface;
+    row("mesh error", fmt::format("median {:.3f} m, 90 % within {:.3f} m of the true surface",
+                                  e.median_m, e.accuracy90_m));
+    const SurfaceOptions defaults;
+    std::string within;
+    for (std::size_t i = 0; i < e.completeness.size(); ++i) {
+      within += fmt::format("{}{:.1f} % within {} m", i == 0 ? "" : ", ", 100 * e.completeness[i],
+                            defaults.completeness_distances_m[i]);
+    }
+    row("complete", within);
+  } else if (truth.surface) {
+    row("mesh error", "none: " + truth.surface->problem);
+  }
+  row("time", fmt::format("{:.1f} s, {:.1f} frames/s, latency {:.1f} ms (95 %: {:.1f} ms), {:.0f} "
+                          "MB, {}",
+                          result.wall_s, n.frames_per_s, n.latency_ms.median, n.latency_ms.p95,
+                          static_cast<double>(result.peak_memory_bytes) / 1e6, result.device));
+  for (const std::string& note : result.notes) row("note", note);
+  row("report", (fs::absolute(out) / "report.html").lexically_normal().string());
+  return lines;
+}
+
+Json end_json(const RunResult& result, const RunNumbers& n, const Truth& truth, const fs::path& out,
+              ExitCode code) {
+  Json states;
+  for (std::size_t i = 0; i < n.states.size(); ++i) {
+    states[std::string(to_string(static_cast<TrackingState>(i)))] = n.states[i];
+  }
+  Json json = {{"event", "end"},
+               {"exit_code", static_cast<int>(code)},
+               {"interrupted", result.interrupted},
+               {"frames", n.events},
+               {"poses", n.poses},
+               {"states", states},
+               {"untracked_after_start", n.untracked_after_start},
+               {"source_counts", to_json(result.counts)},
+               {"keyframes", n.keyframes},
+               {"landmarks", n.landmarks},
+               {"segments", n.segments},
+               {"depth_maps", n.depth_maps},
+               {"triangles", n.triangles},
+               {"wall_s", result.wall_s},
+               {"peak_memory_bytes", result.peak_memory_bytes},
+               {"device", result.device},
+               {"notes", result.notes},
+               {"out", fs::absolute(out).lexically_normal().string()}};
+  if (truth.trajectory && truth.trajectory->problem.empty()) {
+    const TrajectoryErrors& e = *truth.trajectory;
+    json["ate"] = {{"rmse_m", e.position_m.rmse},
+                   {"path_length_m", e.path_length_m},
+                   {"matched", e.matched},
+                   {"scale", e.scale}};
+  }
+  if (truth.surface && truth.surface->problem.empty()) {
+    json["surface"] = {{"median_m", truth.surface->median_m},
+                       {"accuracy90_m", truth.surface->accuracy90_m}};
+  }
+  json["report"] = (fs::absolute(out) / "report.html").lexically_normal().string();
+  return json;
+}
+
+ExitCode judge(const RunResult& result, const std::string& source) {
+  if (result.interrupted) {
+    log().warn("interrupted: this is what there was until then");
+    return ExitCode::interrupted;
+  }
+  if (!result.trajectory.empty()) return ExitCode::ok;
+  if (result.counts.delivered == 0) {
+    log().error("{}: not one frame could be read ({} skipped; `corvid info --check` says why)",
+                source, result.counts.skipped);
+    return ExitCode::bad_input;
+  }
+  log().error("{}: not one frame got a pose: {}", source, commonest_reason(result));
+  return ExitCode::no_estimate;
+}
+
+}  // namespace
+
+Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& context) {
+  if (auto free = check_run_folder(plan.out); !free) return tl::unexpected(free.error());
+  auto engine = Engine::create(plan.options);
+  if (!engine) return tl::unexpected(engine.error());
+
+  SteadyClock clock;
+  const FrameSource& source = *plan.source;  // the player owns it from here on
+  Player player(std::move(plan.source), clock, plan.rate);
+  JsonEvents json(context.out);
+  log().info("{}", describe(player.info()));
+  for (const std::string& note : player.info().notes) log().info("{}", note);
+  if (plan.json) {
+    json.write({{"event", "start"},
+                {"version", CORVID_VERSION},
+                {"source", to_json(player.info())},
+                {"rate", plan.rate ? Json(*plan.rate) : Json("max")},
+                {"out", fs::absolute(plan.out).lexically_normal().string()}});
+  }
+
+  auto result = [&] {
+    Fanout listeners;
+    if (plan.json) listeners.add(&json);
+    std::optional<ProgressLine> progress;
+    if (context.terminal && !context.quiet) {
+      progress.emplace(player.info().frames, clock);
+      listeners.add(&*progress);
+    }
+    return (*engine)->run(player, {&listeners, &listeners}, signals.token());
+  }();
+  if (!result) return tl::unexpected(result.error());
+  for (const std::string& message : result->counts.messages) log().warn("skipped: {}", message);
+
+  const Truth truth = compare(*result, source, plan.truth);
+  log().info("writing {}", plan.out.string());
+  const RunReportInput input{*result, truth.trajectory, truth.surface, CORVID_VERSION,
+                             context.command_line};
+  if (auto written = write_run_folder(input, plan.out); !written) {
+    return tl::unexpected(written.error());
+  }
+
+  const ExitCode code = judge(*result, player.info().path);
+  const RunNumbers numbers = count_run(*result);
+  for (const std::string& line : summary(*result, numbers, truth, plan.out)) {
+    if (plan.json) {
+      log().info("{}", line);
+    } else {
+      context.out << line << '\n';
+    }
+  }
+  if (plan.json) json.write(end_json(*result, numbers, truth, plan.out, code));
+  return code;
+}
+
+}  // namespace corvid

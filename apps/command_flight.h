@@ -1,0 +1,29 @@
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <optional>
+
+#include "apps/program.h"
+#include "apps/signal_guard.h"
+#include "corvid/options.h"
+#include "corvid/ports.h"
+
+namespace corvid {
+
+/// One run of the engine with everything around it: what `replay` and `demo` have in common.
+struct FlightPlan {
+  std::unique_ptr<FrameSource> source;  ///< not paced
+  std::optional<double> rate;           ///< of the player; nothing: as fast as possible
+  Options options;
+  Trajectory truth;  ///< instead of the source's own; empty: the source's own
+  std::filesystem::path out;
+  bool json = false;
+};
+
+/// Runs the source, compares with the truth where there is any, writes the folder and sums up.
+/// The folder is written whenever the engine gave a result, even without a pose.
+/// @return ok; interrupted; no_estimate or bad_input if not a single pose came out.
+[[nodiscard]] Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& context);
+
+}  // namespace corvid

@@ -1,0 +1,66 @@
+#pragma once
+
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "apps/program.h"
+
+namespace corvid {
+
+/// What one command did.
+struct Ran {
+  int code = -1;
+  std::string out, err;
+};
+
+/// Runs `corvid ARGUMENTS...` in this process.
+inline Ran corvid_run(const std::vector<std::string>& arguments, bool terminal = false) {
+  std::vector<const char*> argv{"corvid"};
+  for (const std::string& argument : arguments) argv.push_back(argument.c_str());
+  std::ostringstream out, err;
+  Ran ran;
+  ran.code =
+      run_program(static_cast<int>(argv.size()), argv.data(), Context{out, err, terminal, false});
+  ran.out = out.str();
+  ran.err = err.str();
+  return ran;
+}
+
+/// A folder of its own for each test, removed at its end.
+class ProgramTest : public ::testing::Test {
+ protected:
+  ProgramTest() {
+    const auto* info = ::testing::UnitTest::GetInstance()->current_test_info();
+    folder_ = std::filesystem::path(::testing::TempDir()) /
+              ("corvid_" + std::string(info->test_suite_name()) + "_" + info->name() + "_" +
+               std::to_string(getpid()));
+    std::filesystem::remove_all(folder_);
+    std::filesystem::create_directories(folder_);
+  }
+  ~ProgramTest() override {
+    std::error_code ignored;
+    std::filesystem::remove_all(folder_, ignored);
+  }
+  [[nodiscard]] std::string path(const std::string& name) const {
+    return (folder_ / name).string();
+  }
+  std::string write(const std::string& name, const std::string& text) const {
+    std::ofstream(folder_ / name) << text;
+    return path(name);
+  }
+  [[nodiscard]] static std::string read(const std::filesystem::path& file) {
+    std::ifstream stream(file, std::ios::binary);
+    return {std::istreambuf_iterator<char>(stream), {}};
+  }
+
+  std::filesystem::path folder_;
+};
+
+}  // namespace corvid

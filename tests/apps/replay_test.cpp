@@ -1,0 +1,208 @@
+// The commands that fly: replay, demo, export, on short synthetic flights.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <csignal>
+#include <cstdlib>
+#include <nlohmann/json.hpp>
+#include <streambuf>
+
+#include "apps/command_flight.h"
+#include "apps/signal_guard.h"
+#include "core/log.h"
+#include "io/mesh_files.h"
+#include "io/options_file.h"
+#include "io/trajectory_file.h"
+#include "program_fixture.h"
+#include "replay/synthetic_flight.h"
+
+namespace corvid {
+namespace {
+
+using nlohmann::json;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+constexpr const char* kFlight = "synthetic:width=320,height=240,duration=1.5,rate=20,seed=2";
+
+using ReplayTest = ProgramTest;
+
+std::vector<json> lines_of(const std::string& text) {
+  std::vector<json> lines;
+  std::istringstream stream(text);
+  for (std::string line; std::getline(stream, line);) lines.push_back(json::parse(line));
+  return lines;
+}
+
+TEST_F(ReplayTest, WritesTheFolderAndSpeaksJson) {
+  const Ran ran = corvid_run({"replay", kFlight, "--out", path("run"), "--json", "--set",
+                              "frontend.max_tracks=300", "--threads", "2"});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  const std::vector<json> events = lines_of(ran.out);
+  ASSERT_GE(events.size(), 32U);
+  EXPECT_EQ(events.front()["event"], "start");
+  EXPECT_EQ(events.front()["source"]["frames"], 30);
+  EXPECT_EQ(events.back()["event"], "end");
+  EXPECT_EQ(events.back()["exit_code"], 0);
+  EXPECT_EQ(events.back()["source_counts"]["dropped"], 0);
+  int frames = 0, with_pose = 0, blocks = 0;
+  for (const json& event : events) {
+    blocks += event["event"] == "mesh" ? 1 : 0;
+    if (event["event"] != "pose") continue;
+    EXPECT_EQ(event["frame"], frames);
+    ++frames;
+    if (!event.contains("position")) continue;
+    ++with_pose;
+    EXPECT_EQ(event["position"].size(), 3U);
+    EXPECT_EQ(event["rotation_xyzw"].size(), 4U);
+    EXPECT_EQ(event["covariance_upper"].size(), 21U);
+  }
+  EXPECT_EQ(frames, 30);
+  EXPECT_GT(with_pose, 15);
+  EXPECT_GT(blocks, 0);
+  EXPECT_GE(events.back()["poses"].get<int>(), with_pose);
+  EXPECT_LT(events.back()["ate"]["rmse_m"].get<double>(), 0.5);
+
+  const auto trajectory = read_trajectory(path("run/trajectory.txt"));
+  ASSERT_TRUE(trajectory) << trajectory.error().to_string();
+  EXPECT_EQ(trajectory->size(), events.back()["poses"].get<std::size_t>());
+  const auto options = read_options_file(path("run/options.yaml"));
+  ASSERT_TRUE(options) << options.error().to_string();
+  EXPECT_EQ(options->frontend.max_tracks, 300);
+  const json run = json::parse(read(folder_ / "run/run.json"));
+  EXPECT_THAT(run.dump(), HasSubstr("corvid replay"));
+  EXPECT_THAT(read(folder_ / "run/report.html"), HasSubstr("</html>"));
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder_), {}), 1)
+      << "nothing but the run's folder is left";
+
+  // What the other commands make of the folder.
+  for (const char* format : {"ply", "obj", "drc", "glb"}) {
+    const std::string file = path(std::string("mesh.") + format);
+    const Ran exported = corvid_run({"export", path("run"), "--format", format, "--out", file});
+    ASSERT_EQ(exported.code, 0) << exported.err;
+    const auto mesh = read_mesh(file);
+    ASSERT_TRUE(mesh) << mesh.error().to_string();
+    EXPECT_GT(mesh->triangles.size(), 100U) << format;
+  }
+  const Ran colmap = corvid_run({"export", path("run"), "--format", "colmap", "--out", path("c")});
+  ASSERT_EQ(colmap.code, 0) << colmap.err;
+  EXPECT_TRUE(std::filesystem::exists(folder_ / "c/sparse/cameras.txt"));
+  const Ran eval = corvid_run({"eval", path("run"), kFlight, "--json"});
+  ASSERT_EQ(eval.code, 0) << eval.err;
+  EXPECT_NEAR(json::parse(eval.out)["ate_m"]["rmse"].get<double>(),
+              events.back()["ate"]["rmse_m"].get<double>(), 1e-6);
+}
+
+TEST_F(ReplayTest, SumsUpOnTheStandardOutputAndTalksOnTheOther) {
+  const Ran ran = corvid_run({"replay", kFlight, "--out", path("run"), "--no-mapping"}, true);
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.out, AllOf(HasSubstr("poses"), HasSubstr("ATE"), HasSubstr("30 delivered"),
+                             HasSubstr(path("run/report.html"))));
+  EXPECT_THAT(ran.out, ::testing::Not(HasSubstr("\r")));
+  EXPECT_THAT(ran.err, HasSubstr("frame 1/30")) << "the progress line of a terminal";
+  const Ran quiet =
+      corvid_run({"replay", kFlight, "--out", path("run"), "--no-mapping", "-q"}, true);
+  EXPECT_EQ(quiet.code, 0);
+  EXPECT_THAT(quiet.err, IsEmpty());
+  const Ran nothing = corvid_run({"export", path("run"), "--format", "ply"});
+  EXPECT_EQ(nothing.code, static_cast<int>(ExitCode::not_found));
+  EXPECT_THAT(nothing.err, HasSubstr("--no-mapping"));
+}
+
+TEST_F(ReplayTest, AFlightWithoutTranslationEndsWithSixAndTheReason) {
+  const Ran ran =
+      corvid_run({"replay", "synthetic:width=320,height=240,duration=0.6,rate=20,path=hover",
+                  "--out", path("run"), "--json"});
+  EXPECT_EQ(ran.code, static_cast<int>(ExitCode::no_estimate)) << ran.err;
+  EXPECT_THAT(ran.err, AllOf(HasSubstr("not one frame got a pose"), HasSubstr("frames)")));
+  EXPECT_TRUE(std::filesystem::exists(folder_ / "run/report.html"));
+  EXPECT_EQ(lines_of(ran.out).back()["exit_code"], 6);
+}
+
+TEST_F(ReplayTest, RefusesAFolderThatIsNotARunsBeforeItFlies) {
+  std::filesystem::create_directories(folder_ / "mine");
+  write("mine/letter.txt", "dear");
+  const Ran ran = corvid_run({"replay", kFlight, "--out", path("mine"), "--json"});
+  EXPECT_EQ(ran.code, static_cast<int>(ExitCode::usage));
+  EXPECT_THAT(ran.out, IsEmpty());
+  EXPECT_EQ(read(folder_ / "mine/letter.txt"), "dear");
+}
+
+TEST_F(ReplayTest, ADeviceThatIsNotThereEndsWithFive) {
+  const Ran ran = corvid_run({"replay", kFlight, "--out", path("run"), "--device", "99"});
+  EXPECT_EQ(ran.code, static_cast<int>(ExitCode::device)) << ran.err;
+  EXPECT_FALSE(std::filesystem::exists(folder_ / "run"));
+}
+
+// A stream buffer that sends a signal to this process when the n-th line goes through it.
+class SignallingBuffer : public std::stringbuf {
+ public:
+  SignallingBuffer(int line, int times) : line_(line), times_(times) {}
+
+ protected:
+  int sync() override {
+    if (++seen_ == line_) {
+      for (int i = 0; i < times_; ++i) std::raise(SIGINT);
+    }
+    return 0;
+  }
+
+ private:
+  int line_, times_, seen_ = 0;
+};
+
+TEST_F(ReplayTest, SigintSavesWhatThereIsAndEndsWith130) {
+  SignallingBuffer buffer(40, 2);  // well within the flight; the second one must change nothing
+  std::ostream out(&buffer);
+  std::ostringstream err;
+  const std::string run = path("run");
+  const char* argv[] = {
+      "corvid",      "replay",    "synthetic:width=320,height=240,duration=30,rate=20",
+      "--out",       run.c_str(), "--json",
+      "--no-mapping"};
+  const int code = run_program(7, argv, Context{out, err});
+  EXPECT_EQ(code, 130) << err.str();
+  EXPECT_THAT(err.str(), HasSubstr("what there is will be saved"));
+  const std::vector<json> events = lines_of(buffer.str());
+  EXPECT_EQ(events.back()["event"], "end");
+  EXPECT_EQ(events.back()["interrupted"], true);
+  EXPECT_LT(events.size(), 400U) << "it stopped long before the 600 frames of the flight";
+  EXPECT_TRUE(std::filesystem::exists(folder_ / "run/report.html"));
+  EXPECT_TRUE(read_trajectory(path("run/trajectory.txt")));
+}
+
+TEST(SignalGuard, TheThirdSignalEndsTheProcess) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(
+      {
+        const SignalGuard guard;
+        for (int i = 0; i < 3; ++i) std::raise(SIGTERM);
+        std::exit(0);
+      },
+      ::testing::ExitedWithCode(130), "");
+}
+
+TEST(SignalGuard, GivesTheOldHandlersBack) {
+  static volatile std::sig_atomic_t heard = 0;
+  std::signal(SIGTERM, [](int) { heard = heard + 1; });
+  {
+    const SignalGuard guard;
+    std::raise(SIGTERM);
+    while (!guard.token().stop_requested()) std::this_thread::yield();
+    EXPECT_EQ(heard, 0);
+  }
+  std::raise(SIGTERM);
+  EXPECT_EQ(heard, 1);
+  std::signal(SIGTERM, SIG_DFL);
+}
+
+TEST_F(ReplayTest, DemoNamesTheReportAndBothErrors) {
+  const Ran ran = corvid_run({"demo", "--quick", "--out", path("demo")});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.out, AllOf(HasSubstr("ATE"), HasSubstr("% of the length"),
+                             HasSubstr("mesh error"), HasSubstr(path("demo/report.html"))));
+}
+
+}  // namespace
+}  // namespace corvid
