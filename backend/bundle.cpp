@@ -3,6 +3,7 @@
 #include <ceres/loss_function.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
+#include <glog/logging.h>
 
 #include <algorithm>
 #include <cmath>
@@ -16,6 +17,16 @@ namespace corvid {
 namespace {
 
 constexpr int kDenseLimit = 40;  ///< free poses up to which the reduced system is solved densely
+
+/// Ceres warns through glog, which writes to stderr until a program sets it up: the solver's
+/// troubles come back in its summary, and the library prints nothing.
+void silence_glog() {
+  static const bool done = [] {
+    if (!google::IsGoogleLoggingInitialized()) FLAGS_minloglevel = google::GLOG_FATAL;
+    return true;
+  }();
+  (void)done;
+}
 
 double median_sigma(const std::vector<BundleObservation>& observations) {
   std::vector<double> sigmas;
@@ -31,6 +42,7 @@ double median_sigma(const std::vector<BundleObservation>& observations) {
 BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   CORVID_CHECK(problem.fixed.size() == problem.T_world_camera.size(), "one flag per pose");
   BundleResult result;
+  silence_glog();
   if (problem.observations.empty()) return result;
 
   std::vector<PoseBlock> poses;
@@ -112,8 +124,8 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   solver.linear_solver_ordering = ordering;
   solver.max_num_iterations = settings.max_iterations;
   solver.num_threads = std::max(1, settings.threads);
-  solver.function_tolerance = 1e-4;
-  solver.parameter_tolerance = 1e-7;
+  solver.function_tolerance = settings.cost_tolerance;
+  solver.parameter_tolerance = 1e-9;
   solver.initial_trust_region_radius = 1e5;
   solver.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;

@@ -31,6 +31,8 @@ struct BundleSettings {
   double huber_px = 1.0;
   int max_iterations = 10;
   int threads = 1;
+  double cost_tolerance =
+      1e-5;  ///< stops when an iteration lowers the cost by less than this share
   /// Focal length and, for radtan and equidistant, k1 and k2 are unknowns too; weakly drawn to
   /// those of `intrinsics_prior` (10 %, 0.1, 0.1).
   bool refine_intrinsics = false;

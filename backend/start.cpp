@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "backend/resect.h"
 #include "backend/window.h"
@@ -45,8 +46,8 @@ void Starter::hold(const FrameTracks& tracks) {
 std::optional<Starter::Pair> Starter::best_pair(const Camera& camera,
                                                 const BackendOptions& options) {
   const Held& newest = held_.back();
-  std::optional<Pair> best;
-  double best_score = 0;
+  std::vector<Pair> accepted;
+  double most_explained = 0;
   for (std::size_t h = 0; h + 1 < held_.size(); ++h) {
     if (!held_[h].keyframe) continue;
     Pair pair;
@@ -63,9 +64,18 @@ std::optional<Starter::Pair> Starter::best_pair(const Camera& camera,
     }
     pair.two_view = two_view(camera, pixels, options);
     if (!pair.two_view.accepted) {
-      if (!best) reason_ = pair.two_view.reason;
+      reason_ = pair.two_view.reason;
       continue;
     }
+    most_explained = std::max(most_explained, pair.two_view.explained);
+    accepted.push_back(std::move(pair));
+  }
+  // A wrong motion can have wide angles, but it explains less: points and parallax decide only
+  // among the pairs that are explained nearly as well as the best one.
+  std::optional<Pair> best;
+  double best_score = 0;
+  for (Pair& pair : accepted) {
+    if (pair.two_view.explained < 0.9 * most_explained) continue;
     const TwoViewMotion& motion = pair.two_view.motion;
     const double parallax =
         std::min(motion.median_parallax_rad / options.start_min_parallax_rad, 3.0);

@@ -27,10 +27,10 @@ struct StartedMap {
 
 /// Collects frames until two of its keyframes make a map (algorithms.md, 6: delayed start).
 ///
-/// The newest keyframe is tried against each one held (at most 10); the accepted pair with the most
-/// points and parallax starts the map. All other frames held are then resected, so that the
-/// trajectory covers them, and the whole is adjusted. A plane with two explanations is settled by
-/// those other frames, or refused.
+/// The newest keyframe is tried against each one held (at most 10); the accepted pair that is
+/// explained best, with the most points and parallax, starts the map. All other frames held are
+/// then resected, so that the trajectory covers them, and the whole is adjusted. A plane with two
+/// explanations is settled by those other frames, or refused.
 class Starter {
  public:
   void hold(const FrameTracks& tracks);

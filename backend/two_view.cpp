@@ -51,8 +51,11 @@ double share_explained_by_rotation(const std::vector<RayPair>& rays, double thre
 
 struct Judged {
   TwoViewMotion motion;
-  int in_front = 0;  ///< pairs that agree, in front of both cameras
-  int behind = 0;    ///< pairs that would agree if they were not behind one
+  int in_front = 0;           ///< pairs that agree, in front of both cameras
+  int behind = 0;             ///< pairs that would agree if they were not behind one
+  double cost = 0;            ///< sum of squared errors of all pairs, each at most max_error_px^2
+  std::vector<int> agreeing;  ///< pairs in front, whatever their angle
+  std::vector<Eigen::Vector3d> agreeing_a;  ///< their points, in camera a
 };
 
 /// What a motion makes of the pairs.
@@ -64,6 +67,7 @@ Judged judge(const Camera& camera, std::span<const PixelPair> pairs,
   const double max2 = options.max_error_px * options.max_error_px;
   std::vector<double> parallax;
   double sum = 0;
+  result.cost = max2 * static_cast<double>(rays.size());
   for (const RayPair& ray : rays) {
     const PixelPair& pair = pairs[static_cast<std::size_t>(ray.index)];
     const Eigen::Vector3d direction_b = T_a_b.rotation() * ray.b;
@@ -93,6 +97,9 @@ Judged judge(const Camera& camera, std::span<const PixelPair> pairs,
     if (ea >= max2 || eb >= max2) continue;
     parallax.push_back(angle);
     ++result.in_front;
+    result.cost += 0.5 * (ea + eb) - max2;
+    result.agreeing.push_back(ray.index);
+    result.agreeing_a.push_back(p_a);
     if (angle < options.min_angle_rad) continue;
     result.motion.index.push_back(ray.index);
     result.motion.p_a.push_back(p_a);
@@ -105,16 +112,17 @@ Judged judge(const Camera& camera, std::span<const PixelPair> pairs,
 }
 
 /// Bundle adjustment of the motion with its points; the baseline stays 1.
-Pose refine(const Camera& camera, std::span<const PixelPair> pairs, const TwoViewMotion& motion,
+Pose refine(const Camera& camera, std::span<const PixelPair> pairs, const Judged& judged,
             const BackendOptions& options) {
+  const Pose& T_a_b = judged.motion.T_a_b;
   BundleProblem problem;
   problem.camera = camera;
-  problem.T_world_camera = {Pose(), motion.T_a_b};
+  problem.T_world_camera = {Pose(), T_a_b};
   problem.fixed = {1, 0};
-  problem.points = motion.p_a;
+  problem.points = judged.agreeing_a;
   problem.hold_distance = {{0, 1}};
-  for (std::size_t i = 0; i < motion.index.size(); ++i) {
-    const PixelPair& pair = pairs[static_cast<std::size_t>(motion.index[i])];
+  for (std::size_t i = 0; i < judged.agreeing.size(); ++i) {
+    const PixelPair& pair = pairs[static_cast<std::size_t>(judged.agreeing[i])];
     const int point = static_cast<int>(i);
     problem.observations.push_back({0, point, pair.a, pair.sigma_px});
     problem.observations.push_back({1, point, pair.b, pair.sigma_px});
@@ -122,10 +130,10 @@ Pose refine(const Camera& camera, std::span<const PixelPair> pairs, const TwoVie
   BundleSettings settings;
   settings.huber_px = options.huber_px;
   settings.max_iterations = 15;
-  if (!adjust(problem, settings).ok) return motion.T_a_b;
+  if (!adjust(problem, settings).ok) return T_a_b;
   const Pose& T = problem.T_world_camera[1];
   const double length = T.translation().norm();
-  return length > 0 ? Pose(T.rotation(), T.translation() / length) : motion.T_a_b;
+  return length > 0 ? Pose(T.rotation(), T.translation() / length) : T_a_b;
 }
 
 Eigen::Matrix3d to_eigen(const cv::Mat& m) {
@@ -218,14 +226,15 @@ TwoView two_view(const Camera& camera, std::span<const PixelPair> pairs,
        candidate_motions(rays, 0.5 * options.max_error_px / focal, options.seed)) {
     judged.push_back({judge(camera, pairs, rays, T, options), homography});
   }
+  // By cost over all pairs, not by the number of points: wrong motions can have wider angles.
   const auto better = [](const Candidate& x, const Candidate& y) {
-    return x.judged.motion.index.size() > y.judged.motion.index.size();
+    return x.judged.cost < y.judged.cost;
   };
   std::stable_sort(judged.begin(), judged.end(), better);
   if (judged.size() > 3) judged.resize(3);
   for (Candidate& candidate : judged) {
-    for (int round = 0; round < 2 && candidate.judged.motion.index.size() >= 8; ++round) {
-      const Pose T = refine(camera, pairs, candidate.judged.motion, options);
+    for (int round = 0; round < 2 && candidate.judged.in_front >= 8; ++round) {
+      const Pose T = refine(camera, pairs, candidate.judged, options);
       candidate.judged = judge(camera, pairs, rays, T, options);
     }
   }
@@ -249,11 +258,12 @@ TwoView two_view(const Camera& camera, std::span<const PixelPair> pairs,
   }
   result.accepted = true;
   result.from_homography = best.homography;
+  result.explained = in_front / static_cast<double>(rays.size());
   result.motion = motion;
   for (std::size_t i = 1; i < judged.size(); ++i) {
     const TwoViewMotion& other = judged[i].judged.motion;
-    if (static_cast<double>(other.index.size()) > 0.9 * static_cast<double>(motion.index.size()) &&
-        other.rms_px < 1.2 * motion.rms_px && differ(other.T_a_b, motion.T_a_b)) {
+    if (other.index.size() >= enough && judged[i].judged.cost < 1.2 * best.judged.cost &&
+        differ(other.T_a_b, motion.T_a_b)) {
       result.rival = other;
       break;
     }

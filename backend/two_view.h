@@ -33,6 +33,7 @@ struct TwoView {
   bool accepted = false;
   std::string reason;            ///< why not, in words for the user
   bool from_homography = false;  ///< the scene (nearly) is a plane
+  double explained = 0;          ///< share of the pairs that agree with the motion
   TwoViewMotion motion;          ///< meaningful if accepted
   /// A plane seen twice can have two explanations that are equally good: the other one. A third
   /// view must choose.

@@ -4,6 +4,7 @@
 
 #include <Eigen/Dense>
 #include <cstring>
+#include <iostream>
 
 #include "backend/simulator.h"
 
@@ -92,7 +93,7 @@ TEST(Backend, ForwardFlightWithTheEpipoleInTheImage) {
   const Outcome r = run_backend(flight);
   EXPECT_LE(r.first_tracked(), 20U);
   EXPECT_EQ(r.untracked_after_start(), 0U);
-  EXPECT_LT(r.ate.rmse(), 0.08);
+  EXPECT_LT(r.ate.rmse(), 0.02);
 }
 
 TEST(Backend, PlaneStartsAndIsFollowed) {
@@ -163,6 +164,34 @@ TEST(Backend, WrongTracksAreRejectedAndThirtyPercentSurvived) {
   EXPECT_LT(far, r.map->landmarks.size() / 20);
 }
 
+TEST(Backend, StartsAreNeverWrong) {
+  const auto forward = test::forward_path(60), sideways_far = test::sideways_path(40);
+  for (const Scene scene : {Scene::corridor, Scene::box, Scene::plane, Scene::tilted_plane}) {
+    for (std::uint64_t seed = 1; seed <= 8; ++seed) {
+      Simulation s = sideways();
+      s.scene = scene;
+      s.path = [&](double t) {
+        return (scene == Scene::corridor ? forward : sideways_far)(t / 10);
+      };
+      s.frames = 30;
+      s.tracks = 300;
+      s.seed = seed;
+      s.outliers = 0.05 * static_cast<double>(seed % 4);
+      s.noise_px = seed % 2 == 0 ? 0.5 : 0.3;
+      const Flight flight = test::Simulator(s).fly();
+      const Outcome r = run_backend(flight);
+      ASSERT_LT(r.first_tracked(), flight.frames.size()) << "seed " << seed;
+      ASSERT_EQ(r.trajectory.size(), flight.frames.size());
+      const Pose estimate =
+          r.trajectory.front().T_world_camera.inverse() * r.trajectory.back().T_world_camera;
+      const Pose truth = flight.truth.front().inverse() * flight.truth.back();
+      EXPECT_LT(so3_log(estimate.rotation().conjugate() * truth.rotation()).norm(), 0.01);
+      EXPECT_LT((estimate.translation().normalized() - truth.translation().normalized()).norm(),
+                0.05);
+    }
+  }
+}
+
 TEST(Backend, WideLenses) {
   for (const Camera& camera : {test::equidistant_camera(), test::fov_camera()}) {
     Simulation s = sideways();
@@ -189,7 +218,7 @@ TEST(Backend, StillsFarApartMakeOneMap) {
   EXPECT_EQ(r.trajectory.size(), 45U);
   EXPECT_EQ(r.map->keyframes.size(), 45U);
   EXPECT_EQ(r.events.back().segment, 0);
-  EXPECT_LT(r.ate.rmse(), 0.5);
+  EXPECT_LT(r.ate.rmse(), 0.05);
 }
 
 TEST(Backend, WrongIntrinsicsConvergeTowardsTheTruth) {
@@ -212,8 +241,7 @@ TEST(Backend, WrongIntrinsicsConvergeTowardsTheTruth) {
             << "\n";
   EXPECT_NEAR(f / s.camera.fx_px, 1.0, 0.005);
   EXPECT_NEAR(refined.map->camera->fy_px / f, s.camera.fy_px / s.camera.fx_px, 1e-9);
-  EXPECT_LT(refined.ate.rmse(), 0.02);
-  EXPECT_LT(refined.ate.rmse(), fixed.ate.rmse());
+  EXPECT_LT(refined.ate.rmse(), 0.6 * fixed.ate.rmse());
 }
 
 /// Replaces the tracks of frames [from, to) by nothing, or by noise.
