@@ -7,17 +7,20 @@
 // weights.
 // Layout: images 8-bit, row-major, pitch = width, readable 64 bytes past the end. Coefficients of a
 // job: rows of `pitch` floats (a multiple of LANES) from `scores` on; NO_SCORE where there is none.
-// Options: T template side (odd), LANES candidates per vector, ROWS candidate rows per register tile
-// (TILE_ROWS is a multiple of it), GAUSSIAN for weights exp(-r^2 / (2 (T/6)^2)).
+// A template is T rows of TEMPLATE_PITCH floats, zero past T.
+// Options: T template side (odd); WEIGHTS the T comma-separated 1-d weights, sum 1 (w is their
+// product); GAUSSIAN if they are not uniform; LANES candidates per vector; ROWS candidate rows per
+// register tile; TILE_ROWS candidate rows per tile, a multiple of ROWS.
 // Launch, one-dimensional: small: x >= jobs (template, tiles and peaks of a job in one work-item);
 // or templates: x >= jobs, tiles: x >= tiles, peaks: x >= jobs.
 
 #define HALF_T (T / 2)
 #define AREA (T * T)
-#define TEMPLATE_FLOATS (AREA + 1)  // t' and its sum; the sum is NAN if the template has no variance
 #define PATCH_ROWS (TILE_ROWS + T - 1)
 #define PATCH_PITCH (((LANES + T - 1 + LANES - 1) / LANES) * LANES)
 #define TEMPLATE_PITCH (((T + LANES - 1) / LANES) * LANES)
+#define TEMPLATE_SIZE (T * TEMPLATE_PITCH)
+#define TEMPLATE_FLOATS (TEMPLATE_SIZE + 1)  // and its sum, NAN if it has no variance
 #define NO_SCORE -2.0f
 #define MIN_TEMPLATE_VARIANCE 0.01f
 #define MIN_GAUSSIAN_VARIANCE 0.1f
@@ -64,17 +67,7 @@ typedef struct {
   float best_raw;
 } Result;
 
-inline float gaussian(int i) {
-  const float sigma = T / 6.0f;
-  return exp(-0.5f * (float)(i * i) / (sigma * sigma));
-}
-
-// 1-d Gaussian weights of sum 1.
-inline void fill_weights(float* g) {
-  float sum = 0.0f;
-  for (int i = 0; i < T; ++i) sum += (g[i] = gaussian(i - HALF_T));
-  for (int i = 0; i < T; ++i) g[i] /= sum;
-}
+__constant float kWeights[TEMPLATE_PITCH] = {WEIGHTS};
 
 // Catmull-Rom weights of the samples at -1, 0, 1, 2 for the place f in [0, 1).
 #define CUBIC0(f) (0.5f * (f) * (-1.0f + (f) * (2.0f - (f))))
@@ -85,65 +78,73 @@ inline float4 cubic_weights(float f) {
   return (float4)(CUBIC0(f), CUBIC1(f), CUBIC2(f), CUBIC3(f));
 }
 
-// t' of a job: T * T floats. Returns its sum, or NAN if there is no variance.
+// Four pixels of a row from x on, as the bytes of a word; pixels are repeated past the border.
+inline uint read4(__global const uchar* image, int width, int height, int x, int y) {
+  __global const uchar* row = image + clamp(y, 0, height - 1) * width;
+  if (x >= 0 && x + 3 < width) return as_uint(vload4(0, row + x));
+  const int last = width - 1;
+  return as_uint((uchar4)(row[clamp(x, 0, last)], row[clamp(x + 1, 0, last)],
+                          row[clamp(x + 2, 0, last)], row[clamp(x + 3, 0, last)]));
+}
+
+// t' of a job. Returns its sum, or NAN if there is no variance.
 inline float make_template(__global const uchar* reference, int width, int height,
                            __global const Job* job, float* t) {
-  float sample[T * PATCH_PITCH];
   const float a00 = job->warp[0], a01 = job->warp[1], a10 = job->warp[2], a11 = job->warp[3];
+  floatv sums = 0;
   for (int v = 0; v < T; ++v) {
-    for (int u = 0; u < T; u += LANES) {
-      const floatv du = TO_FLOAT(LANE_INDEX + (u - HALF_T));
+    for (int c = 0; c < TEMPLATE_PITCH; c += LANES) {
+      // Lanes past the template repeat its last sample, with weight 0.
+      const floatv du = TO_FLOAT(min(LANE_INDEX + (c - HALF_T), HALF_T));
       const float dv = (float)(v - HALF_T);
       const floatv px = job->fraction_x + a00 * du + a01 * dv;
       const floatv py = job->fraction_y + a10 * du + a11 * dv;
       const floatv whole_x = floor(px), whole_y = floor(py);
       const floatv fx = px - whole_x, fy = py - whole_y;
+      int left[LANES], top[LANES];
+      uint words[4][LANES];
+      VSTORE(TO_INT(whole_x) + (job->reference_x - 1), left);
+      VSTORE(TO_INT(whole_y) + (job->reference_y - 1), top);
+      for (int k = 0; k < LANES; ++k)
+        for (int j = 0; j < 4; ++j)
+          words[j][k] = read4(reference, width, height, left[k], top[k] + j);
+      const floatv cx[4] = {CUBIC0(fx), CUBIC1(fx), CUBIC2(fx), CUBIC3(fx)};
+      const floatv cy[4] = {CUBIC0(fy), CUBIC1(fy), CUBIC2(fy), CUBIC3(fy)};
       floatv value = 0;
+#pragma unroll
       for (int j = 0; j < 4; ++j) {
-        // Pixels are repeated past the border; lanes past the template may lie anywhere.
-        const intv row = clamp(TO_INT(whole_y) + job->reference_y + (j - 1), 0, height - 1) * width;
+        const uintv word = VLOAD(words[j]);
         floatv along = 0;
-        for (int i = 0; i < 4; ++i) {
-          const intv at = row + clamp(TO_INT(whole_x) + job->reference_x + (i - 1), 0, width - 1);
-          int places[LANES];
-          float pixels[LANES];
-          VSTORE(at, places);
-          for (int k = 0; k < LANES; ++k) pixels[k] = reference[places[k]];
-          const floatv c = i == 0 ? CUBIC0(fx) : i == 1 ? CUBIC1(fx) : i == 2 ? CUBIC2(fx) : CUBIC3(fx);
-          along += c * VLOAD(pixels);
-        }
-        const floatv c = j == 0 ? CUBIC0(fy) : j == 1 ? CUBIC1(fy) : j == 2 ? CUBIC2(fy) : CUBIC3(fy);
-        value += c * along;
+#pragma unroll
+        for (uint i = 0; i < 4; ++i) along += cx[i] * TO_FLOAT((word >> (8 * i)) & 255U);
+        value += cy[j] * along;
       }
-      VSTORE(value, sample + v * PATCH_PITCH + u);
+      sums += kWeights[v] * VLOAD(kWeights + c) * value;
+      VSTORE(value, t + v * TEMPLATE_PITCH + c);
     }
   }
-#ifdef GAUSSIAN
-  float g[T];
-  fill_weights(g);
-#define WEIGHT(v, u) (g[v] * g[u])
-#else
-#define WEIGHT(v, u) (1.0f / AREA)
-#endif
-  float mean = 0.0f, variance = 0.0f, sum = 0.0f;
-  // Differences to the centre, so that constant templates are exactly constant.
-  const float origin = sample[HALF_T * PATCH_PITCH + HALF_T];
+  const float mean = SUM_LANES(sums);
+  floatv variances = 0;
   for (int v = 0; v < T; ++v)
-    for (int u = 0; u < T; ++u)
-      mean += WEIGHT(v, u) * (t[v * T + u] = sample[v * PATCH_PITCH + u] - origin);
-  for (int v = 0; v < T; ++v)
-    for (int u = 0; u < T; ++u) {
-      const float d = t[v * T + u] - mean;
-      variance += WEIGHT(v, u) * d * d;
-      t[v * T + u] = WEIGHT(v, u) * d;
+    for (int c = 0; c < TEMPLATE_PITCH; c += LANES) {
+      const floatv d = VLOAD(t + v * TEMPLATE_PITCH + c) - mean;
+      const floatv wd = kWeights[v] * VLOAD(kWeights + c) * d;
+      variances += wd * d;
+      VSTORE(wd, t + v * TEMPLATE_PITCH + c);
     }
+  const float variance = SUM_LANES(variances);
   if (!(variance >= MIN_TEMPLATE_VARIANCE)) return NAN;
   const float scale = 1.0f / sqrt(variance);
-  for (int i = 0; i < AREA; ++i) sum += (t[i] *= scale);
+  sums = 0;
+  for (int i = 0; i < TEMPLATE_SIZE; i += LANES) {
+    const floatv scaled = scale * VLOAD(t + i);
+    sums += scaled;
+    VSTORE(scaled, t + i);
+  }
 #ifdef CORVID_PLANT_FAULT
-  t[AREA / 2 + 1] = 0.0f;
+  t[HALF_T * TEMPLATE_PITCH + HALF_T + 1] = 0.0f;
 #endif
-  return sum;
+  return SUM_LANES(sums);
 }
 
 // Coefficients of `rows` <= TILE_ROWS rows of LANES candidates, the first centred at (x, y).
@@ -158,8 +159,6 @@ inline void score_tile(__global const uchar* target, int target_width, const flo
              patch + r * PATCH_PITCH + c);
 
 #ifdef GAUSSIAN
-  float g[T];
-  fill_weights(g);
   const float origin = patch[HALF_T * PATCH_PITCH + HALF_T];  // keeps the sums of squares small
   for (int i = 0; i < PATCH_ROWS * PATCH_PITCH; i += LANES)
     VSTORE(VLOAD(patch + i) - origin, patch + i);
@@ -185,7 +184,7 @@ inline void score_tile(__global const uchar* target, int target_width, const flo
       const float* row = patch + (first + v) * PATCH_PITCH;
 #pragma unroll
       for (int u = 0; u < T; ++u) {
-        const float tvu = t[v * T + u];
+        const float tvu = t[v * TEMPLATE_PITCH + u];
 #pragma unroll
         for (int j = 0; j < ROWS; ++j) s3[j] += tvu * VLOAD(row + j * PATCH_PITCH + u);
       }
@@ -200,16 +199,16 @@ inline void score_tile(__global const uchar* target, int target_width, const flo
         floatv sum4 = 0, sum5 = 0;
         for (int v = 0; v < T; ++v) {
           const floatv s = VLOAD(row + v * PATCH_PITCH + c);
-          sum4 += g[v] * s;
-          sum5 += g[v] * s * s;
+          sum4 += kWeights[v] * s;
+          sum5 += kWeights[v] * s * s;
         }
         VSTORE(sum4, columns4 + c);
         VSTORE(sum5, columns5 + c);
       }
       floatv s4 = 0, s5 = 0;
       for (int u = 0; u < T; ++u) {
-        s4 += g[u] * VLOAD(columns4 + u);
-        s5 += g[u] * VLOAD(columns5 + u);
+        s4 += kWeights[u] * VLOAD(columns4 + u);
+        s5 += kWeights[u] * VLOAD(columns5 + u);
       }
       const floatv variance = s5 - s4 * s4;
       const intv scored = variance >= MIN_GAUSSIAN_VARIANCE;
@@ -286,40 +285,23 @@ inline Peak refine_2d(__global const float* s, int pitch) {
   return peak;
 }
 
-// What aligning needs of a template besides t': rows of TEMPLATE_PITCH floats, 0 past T.
+// What aligning needs of a template besides t': its gradients with what the normalization cancels
+// taken out, G' = w (G - mean(G) - n mean(n G)), n the normalized template; H = sum G' G^T.
 typedef struct {
-  float t[T * TEMPLATE_PITCH];                              // t'
-  float gx[T * TEMPLATE_PITCH], gy[T * TEMPLATE_PITCH];     // weighted gradients, see below
+  float gx[TEMPLATE_SIZE], gy[TEMPLATE_SIZE];
   float hxx, hxy, hyy;
-  float column[TEMPLATE_PITCH];                             // weights of a row's samples
-  float row[T];                                             // weights of the rows
 } Aligner;
 
-// The template's gradients with what the normalization cancels taken out: G' = w (G - mean(G) -
-// n mean(n G)), n the normalized template, and their products H = sum G' G^T.
 inline void prepare_aligner(const float* t, Aligner* a) {
   // n, with one more sample on each side, continued linearly.
-  float n[(T + 2) * (TEMPLATE_PITCH + LANES)];
   const int pitch = TEMPLATE_PITCH + LANES;
-#ifdef GAUSSIAN
-  float g[T];
-  fill_weights(g);
-#endif
-  for (int u = 0; u < TEMPLATE_PITCH; ++u) a->column[u] = 0.0f;
-  for (int u = 0; u < T; ++u) {
-#ifdef GAUSSIAN
-    a->column[u] = a->row[u] = g[u];
-#else
-    a->column[u] = a->row[u] = 1.0f / T;
-#endif
-  }
-  for (int i = 0; i < (T + 2) * pitch; i += LANES) VSTORE((floatv)(0), n + i);
+  float n[(T + 2) * (TEMPLATE_PITCH + LANES)];
   for (int v = 0; v < T; ++v) {
     float* row = n + (v + 1) * pitch + 1;
-    for (int u = 0; u < TEMPLATE_PITCH; ++u) a->t[v * TEMPLATE_PITCH + u] = 0.0f;
-    for (int u = 0; u < T; ++u) {
-      a->t[v * TEMPLATE_PITCH + u] = t[v * T + u];
-      row[u] = t[v * T + u] / (a->row[v] * a->row[u]);
+    VSTORE((floatv)(0), row + pitch - 1 - LANES);
+    for (int c = 0; c < TEMPLATE_PITCH; c += LANES) {
+      const floatv w = kWeights[v] * VLOAD(kWeights + c);
+      VSTORE(select((floatv)(0), VLOAD(t + v * TEMPLATE_PITCH + c) / w, w > 0.0f), row + c);
     }
     row[-1] = 2.0f * row[0] - row[1];
     row[T] = 2.0f * row[T - 1] - row[T - 2];
@@ -333,7 +315,7 @@ inline void prepare_aligner(const float* t, Aligner* a) {
   for (int v = 0; v < T; ++v)
     for (int u = 0; u < TEMPLATE_PITCH; u += LANES) {
       const float* p = n + (v + 1) * pitch + 1 + u;
-      const floatv w = a->row[v] * VLOAD(a->column + u);
+      const floatv w = kWeights[v] * VLOAD(kWeights + u);
       const floatv gx = 0.5f * (VLOAD(p + 1) - VLOAD(p - 1));
       const floatv gy = 0.5f * (VLOAD(p + pitch) - VLOAD(p - pitch));
       sx += w * gx;
@@ -347,7 +329,7 @@ inline void prepare_aligner(const float* t, Aligner* a) {
   for (int v = 0; v < T; ++v)
     for (int u = 0; u < TEMPLATE_PITCH; u += LANES) {
       const float* p = n + (v + 1) * pitch + 1 + u;
-      const floatv w = a->row[v] * VLOAD(a->column + u);
+      const floatv w = kWeights[v] * VLOAD(kWeights + u);
       const floatv gx = 0.5f * (VLOAD(p + 1) - VLOAD(p - 1)) - mean_x - along_x * VLOAD(p);
       const floatv gy = 0.5f * (VLOAD(p + pitch) - VLOAD(p - pitch)) - mean_y - along_y * VLOAD(p);
       hxx += w * gx * gx;
@@ -370,8 +352,8 @@ inline floatv along_row(__global const uchar* p, float4 c) {
 // compositional (Baker and Matthews, "Lucas-Kanade 20 years on", 2004) with the gain and offset of C.
 // Starts at *peak, whose maximum on the grid is (x, y) with the score `raw`; leaves *peak as it is
 // unless it converges within a pixel of (x, y).
-inline void align(__global const uchar* target, int width, int height, const Aligner* a,
-                  int iterations, int x, int y, float raw, Peak* peak) {
+inline void align(__global const uchar* target, int width, int height, const float* t,
+                  const Aligner* a, int iterations, int x, int y, float raw, Peak* peak) {
   const float det = a->hxx * a->hyy - a->hxy * a->hxy;
   if (!(det > 1e-6f * (a->hxx + a->hyy) * (a->hxx + a->hyy))) return;
   float dx = peak->x, dy = peak->y;  // from (x, y)
@@ -384,7 +366,7 @@ inline void align(__global const uchar* target, int width, int height, const Ali
     floatv sum = 0, squares = 0, product = 0, ex = 0, ey = 0;
     for (int u = 0; u < TEMPLATE_PITCH; u += LANES) {
       __global const uchar* p = target + y0 * width + x0 + u;
-      const floatv column = VLOAD(a->column + u);
+      const floatv column = VLOAD(kWeights + u);
       floatv r0 = along_row(p, cx) - origin, r1 = along_row(p + width, cx) - origin,
              r2 = along_row(p + 2 * width, cx) - origin;
       p += 3 * width;
@@ -394,10 +376,10 @@ inline void align(__global const uchar* target, int width, int height, const Ali
         r0 = r1;
         r1 = r2;
         r2 = r3;
-        const floatv ws = a->row[v] * column * s;
+        const floatv ws = kWeights[v] * column * s;
         sum += ws;
         squares += ws * s;
-        product += VLOAD(a->t + v * TEMPLATE_PITCH + u) * s;
+        product += VLOAD(t + v * TEMPLATE_PITCH + u) * s;
         ex += VLOAD(a->gx + v * TEMPLATE_PITCH + u) * s;
         ey += VLOAD(a->gy + v * TEMPLATE_PITCH + u) * s;
       }
@@ -509,7 +491,7 @@ inline void extract_peaks(__global const Job* job, __global const float* scores,
     }
     const int x = job->x + place[k] % pitch, y = job->y + place[k] / pitch;
     if (aligns)
-      align(target, target_width, target_height, &aligner, iterations, x, y, value[k], &peak);
+      align(target, target_width, target_height, t, &aligner, iterations, x, y, value[k], &peak);
     peak.x += (float)x;
     peak.y += (float)y;
     // Refinement may change the order.
@@ -530,7 +512,7 @@ __kernel void small(__global const uchar* restrict reference, int reference_widt
   if (index >= count) return;
   __global const Job* job = jobs + index;
   __global float* out = scores + job->scores;
-  float t[AREA];
+  float t[TEMPLATE_SIZE];
   const float sum = make_template(reference, reference_width, reference_height, job, t);
   if (isnan(sum)) {
     clear(results + index);
@@ -549,11 +531,11 @@ __kernel void templates(__global const uchar* restrict reference, int reference_
                         __global float* restrict out) {
   const int index = get_global_id(0);
   if (index >= count) return;
-  float t[AREA];
+  float t[TEMPLATE_SIZE];
   const float sum = make_template(reference, reference_width, reference_height, jobs + index, t);
   __global float* mine = out + index * TEMPLATE_FLOATS;
-  for (int i = 0; i < AREA; ++i) mine[i] = t[i];
-  mine[AREA] = sum;
+  for (int i = 0; i < TEMPLATE_SIZE; ++i) mine[i] = t[i];
+  mine[TEMPLATE_SIZE] = sum;
 }
 
 // A tile: (job, x, y, rows), x and y counted from the job's first candidate.
@@ -565,10 +547,10 @@ __kernel void tiles(__global const uchar* restrict target, int target_width,
   const int4 tile = list[index];
   __global const Job* job = jobs + tile.x;
   __global const float* mine = stored + tile.x * TEMPLATE_FLOATS;
-  if (isnan(mine[AREA])) return;
-  float t[AREA];
-  for (int i = 0; i < AREA; ++i) t[i] = mine[i];
-  score_tile(target, target_width, t, mine[AREA], job->x + tile.y, job->y + tile.z,
+  if (isnan(mine[TEMPLATE_SIZE])) return;
+  float t[TEMPLATE_SIZE];
+  for (int i = 0; i < TEMPLATE_SIZE; ++i) t[i] = mine[i];
+  score_tile(target, target_width, t, mine[TEMPLATE_SIZE], job->x + tile.y, job->y + tile.z,
              job->x + job->width, tile.w, scores + job->scores + tile.z * job->pitch + tile.y,
              job->pitch);
 }
@@ -581,12 +563,12 @@ __kernel void peaks(__global const uchar* restrict target, int target_width, int
   if (index >= count) return;
   __global const Job* job = jobs + index;
   __global const float* mine = stored + index * TEMPLATE_FLOATS;
-  if (isnan(mine[AREA])) {
+  if (isnan(mine[TEMPLATE_SIZE])) {
     clear(results + index);
     return;
   }
-  float t[AREA];
-  for (int i = 0; i < AREA; ++i) t[i] = mine[i];
+  float t[TEMPLATE_SIZE];
+  for (int i = 0; i < TEMPLATE_SIZE; ++i) t[i] = mine[i];
   extract_peaks(job, scores + job->scores, quality, target, target_width, target_height, t,
                 iterations, results + index);
 }

@@ -32,6 +32,21 @@ std::optional<Error> check_options(const NccOptions& options) {
   return std::nullopt;
 }
 
+// 1-d weights of sum 1, as a compiler option.
+std::string weights(const NccOptions& options) {
+  const int half = options.template_px / 2;
+  const double sigma = options.template_px / 6.0;
+  const auto weight = [&](int i) {
+    return options.gaussian ? std::exp(-0.5 * i * i / (sigma * sigma)) : 1.0;
+  };
+  double sum = 0;
+  for (int i = -half; i <= half; ++i) sum += weight(i);
+  std::string list;
+  for (int i = -half; i <= half; ++i)
+    list += fmt::format("{}{:.9e}f", i == -half ? "" : ",", weight(i) / sum);
+  return list;
+}
+
 }  // namespace
 
 NccMatcher::NccMatcher(std::shared_ptr<Device> device, std::string extra_options)
@@ -57,7 +72,8 @@ Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options) {
   const bool gpu = device_->info().gpu;
   const auto program = build_program(
       *device_, "ncc",
-      fmt::format("-DT={} -DLANES={} -DROWS=4 -DTILE_ROWS={}{}{}{}", options.template_px, lanes_,
+      fmt::format("-DT={} -DWEIGHTS={} -DLANES={} -DROWS=4 -DTILE_ROWS={}{}{}{}",
+                  options.template_px, weights(options), lanes_,
                   gpu ? kRowsPerTileGpu : kRowsPerTile, options.gaussian ? " -DGAUSSIAN" : "",
                   extra_options_.empty() ? "" : " ", extra_options_));
   if (!program) return tl::unexpected(program.error());
@@ -87,6 +103,11 @@ Expected<void> NccMatcher::prepare(const NccOptions& options) {
   });
   if (!warm) return tl::unexpected(warm.error());
   return {};
+}
+
+// TEMPLATE_FLOATS of ncc.cl.
+std::size_t NccMatcher::template_size(int template_px) const {
+  return static_cast<std::size_t>(template_px * divide_up(template_px, lanes_) * lanes_ + 1);
 }
 
 bool NccMatcher::place(const NccJob& job, const DeviceImage& reference, const DeviceImage& target,
@@ -130,8 +151,7 @@ std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const Dev
     throw DeviceFault(ready.error().to_string(), CL_BUILD_PROGRAM_FAILURE);
   }
   std::vector<NccResult> results(jobs.size());
-  const std::size_t template_floats =
-      static_cast<std::size_t>(options.template_px * options.template_px) + 1;
+  const std::size_t template_floats = template_size(options.template_px);
   const bool gpu = device_->info().gpu;
   constexpr std::size_t kMostFloats = std::numeric_limits<std::int32_t>::max();
 
@@ -199,8 +219,7 @@ void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
           tile_list_.push_back({job, x, y, std::min(tile_rows, placed.height - y)});
     }
     device_tiles_.upload(tile_list_, lane);
-    templates_.resize(jobs_.size() *
-                      (static_cast<std::size_t>(options.template_px * options.template_px) + 1));
+    templates_.resize(jobs_.size() * template_size(options.template_px));
     const int tiles = static_cast<int>(tile_list_.size());
     on_device("correlation", [&] {
       set_arguments(kernels.templates, reference.pixels, reference.width_px, reference.height_px,

@@ -100,6 +100,7 @@ class NccMatcher {
   NccMatcher(std::shared_ptr<Device> device, std::string extra_options);
   [[nodiscard]] static bool place(const NccJob& job, const DeviceImage& reference,
                                   const DeviceImage& target, int template_px, DeviceJob& out);
+  [[nodiscard]] std::size_t template_size(int template_px) const;
   Expected<Kernels*> kernels(const NccOptions& options);
   void run_batch(Kernels& kernels, const DeviceImage& reference, const DeviceImage& target,
                  const NccOptions& options, bool small, Lane lane);

@@ -196,8 +196,9 @@ TEST(Program, KernelsCompileWithoutADevice) {
   // Families that want build options; each line is tried.
   const std::map<std::string, std::vector<std::string>> options = {
       {"ncc",
-       {"-DT=11 -DLANES=16 -DROWS=4 -DTILE_ROWS=32", "-DT=3 -DLANES=4 -DROWS=4 -DTILE_ROWS=8",
-        "-DT=31 -DLANES=16 -DROWS=4 -DTILE_ROWS=32 -DGAUSSIAN"}},
+       {"-DT=11 -DWEIGHTS=0.1f -DLANES=16 -DROWS=4 -DTILE_ROWS=32",
+        "-DT=3 -DWEIGHTS=0.1f -DLANES=4 -DROWS=4 -DTILE_ROWS=8",
+        "-DT=31 -DWEIGHTS=0.1f -DLANES=16 -DROWS=4 -DTILE_ROWS=32 -DGAUSSIAN"}},
       {"depth",
        {"-DVEC=16 -DRADIUS=1 -DWEIGHTS=0.25f,0.5f,0.25f -DMIN_SCORE=0.6f -DMIN_VIEWS=2 "
         "-DMIN_VARIANCE=1.0f -DPAD=16",
