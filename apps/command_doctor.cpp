@@ -69,12 +69,18 @@ std::string try_device(int index) {
   return {};
 }
 
-void examine_opencl(Findings& findings) {
+// @param cache  what examine_cache() found: PoCL gives no device where it cannot write its cache.
+void examine_opencl(const Finding& cache, Findings& findings) {
   constexpr const char* kInstall = "sudo apt-get install pocl-opencl-icd";
   auto devices = list_devices();
   if (!devices) {
-    findings.push_back({"opencl", Verdict::failure, devices.error().what,
-                        devices.error().hint.empty() ? kInstall : devices.error().hint});
+    const bool by_cache =
+        cache.verdict != Verdict::ok && access("/etc/OpenCL/vendors/pocl.icd", R_OK) == 0;
+    findings.push_back(
+        {"opencl", Verdict::failure,
+         devices.error().what +
+             (by_cache ? "; PoCL is installed and needs a cache that can be written" : ""),
+         by_cache ? cache.remedy : kInstall});
     return;
   }
   bool any = false;
@@ -97,28 +103,25 @@ void examine_opencl(Findings& findings) {
   }
 }
 
-void examine_cache(Findings& findings) {
+Finding examine_cache() {
   const fs::path folder = cache_folder();
   if (folder.empty()) {
-    findings.push_back(
-        {"cache", Verdict::warning,
-         "neither XDG_CACHE_HOME nor HOME is set: kernels are compiled at every start",
-         "export XDG_CACHE_HOME=/var/tmp/cache"});
-    return;
+    return {"cache", Verdict::warning,
+            "neither XDG_CACHE_HOME nor HOME is set: kernels are compiled at every start",
+            "export XDG_CACHE_HOME=/var/tmp/cache"};
   }
   const fs::path probe = folder / fmt::format("doctor-{}", getpid());
   if (auto written = write_file_atomically(probe, "x"); !written) {
-    findings.push_back({"cache", Verdict::warning,
-                        fmt::format("{}: {}; kernels are compiled at every start", folder.string(),
-                                    written.error().what),
-                        fmt::format("sudo chown -R \"$(id -u)\" '{}'  # or name another folder: "
-                                    "export XDG_CACHE_HOME=/var/tmp/cache",
-                                    folder.string())});
-    return;
+    return {"cache", Verdict::warning,
+            fmt::format("{}: {}; kernels are compiled at every start", folder.string(),
+                        written.error().what),
+            fmt::format("export XDG_CACHE_HOME=/var/tmp/cache  # or, if it is yours: sudo chown -R "
+                        "\"$(id -u)\" '{}'",
+                        folder.string())};
   }
   std::error_code ignored;
   fs::remove(probe, ignored);
-  findings.push_back({"cache", Verdict::ok, folder.string() + " can be written", ""});
+  return {"cache", Verdict::ok, folder.string() + " can be written", ""};
 }
 
 void examine_camera(const fs::path& node, Findings& findings) {
@@ -212,8 +215,9 @@ void examine_locale(Findings& findings) {
 
 Expected<ExitCode> run(bool json, Context& context) {
   Findings findings;
-  examine_opencl(findings);
-  examine_cache(findings);
+  const Finding cache = examine_cache();
+  examine_opencl(cache, findings);
+  findings.push_back(cache);
   examine_cameras(findings);
   examine_resources(findings);
   examine_locale(findings);

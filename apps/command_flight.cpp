@@ -262,7 +262,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
     return tl::unexpected(written.error());
   }
 
-  const ExitCode code = judge(*result, player.info().path);
+  const SourceInfo& info = player.info();
+  const ExitCode code = judge(*result, info.kind + " " + info.path);
   const RunNumbers numbers = count_run(*result);
   for (const std::string& line : summary(*result, numbers, truth, plan.out)) {
     if (plan.json) {

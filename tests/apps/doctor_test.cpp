@@ -1,18 +1,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sys/stat.h>
 
 #include <algorithm>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
 
+#include "kernels/vendor_files.h"
 #include "program_fixture.h"
 
 namespace corvid {
 namespace {
 
 using nlohmann::json;
-using ::testing::HasSubstr;
 
 using DoctorTest = ProgramTest;
 
@@ -24,7 +23,6 @@ json finding(const json& report, const std::string& topic) {
 }
 
 TEST_F(DoctorTest, ReportsEveryTopicAndItsVerdictDecidesTheCode) {
-  setenv("XDG_CACHE_HOME", folder_.c_str(), 1);
   const Ran ran = corvid_run({"doctor", "--json"});
   const json report = json::parse(ran.out);
   for (const char* topic : {"opencl", "cache", "camera", "libcamera", "memory", "disk", "locale"}) {
@@ -37,16 +35,26 @@ TEST_F(DoctorTest, ReportsEveryTopicAndItsVerdictDecidesTheCode) {
   for (const json& f : report["findings"]) {
     EXPECT_EQ(f["verdict"] == "warning" || f["verdict"] == "FAILURE", f["remedy"] != "") << f;
   }
-  EXPECT_EQ(finding(report, "cache")["verdict"], "ok");
-  EXPECT_TRUE(std::filesystem::is_empty(folder_ / "corvid")) << "the probe is gone";
+  std::error_code none;
+  for (const auto& entry : std::filesystem::directory_iterator(cache_folder(), none)) {
+    EXPECT_FALSE(entry.path().filename().string().starts_with("doctor-")) << "the probe is left";
+  }
 }
 
-TEST_F(DoctorTest, ACacheThatCannotBeWrittenIsAWarningWithItsRemedy) {
-  setenv("XDG_CACHE_HOME", write("a_file", "x").c_str(), 1);
-  const Ran ran = corvid_run({"doctor", "--json"});
-  const json cache = finding(json::parse(ran.out), "cache");
-  EXPECT_EQ(cache["verdict"], "warning");
-  EXPECT_THAT(cache["remedy"].get<std::string>(), HasSubstr("XDG_CACHE_HOME"));
+// PoCL reads these once per process: each of the next two needs a process of its own.
+TEST_F(DoctorTest, ACacheThatCannotBeWrittenIsNamedWithItsRemedy) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  const std::string file = write("a_file", "x");
+  EXPECT_EXIT(
+      {
+        setenv("XDG_CACHE_HOME", file.c_str(), 1);
+        const Ran ran = corvid_run({"doctor", "--json"});
+        const json cache = finding(json::parse(ran.out), "cache");
+        fputs((cache["verdict"].get<std::string>() + cache["remedy"].get<std::string>()).c_str(),
+              stderr);
+        std::exit(0);
+      },
+      ::testing::ExitedWithCode(0), "warningexport XDG_CACHE_HOME");
 }
 
 TEST_F(DoctorTest, WithoutAnyDriverTheCodeIsFiveAndTheRemedyIsNamed) {
