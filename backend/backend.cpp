@@ -346,6 +346,13 @@ void Backend::Impl::publish_motion(const FrameTracks& tracks) {
       motion->recent.push_back({frames[i].time_ns, pose_of(frames[i])});
     }
   }
+  if (mode == Mode::tracking) {
+    const std::size_t kept = static_cast<std::size_t>(2 * options.window_keyframes);
+    const std::size_t all = map.keyframes.size(), first = static_cast<std::size_t>(segment_first);
+    for (std::size_t k = std::max(first, all > kept ? all - kept : 0); k < all; ++k)
+      motion->keyframes.emplace_back(map.keyframes[k].frame->id, map.keyframes[k].T_world_camera);
+    if (refine) motion->camera = published_map->camera;
+  }
   for (const TrackObservation& o : tracks.observations) {
     const auto it = map.tracks.find(o.track);
     if (it == map.tracks.end()) continue;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -33,6 +34,9 @@ struct MotionState {
   /// Poses of the recent keyframes, sorted by frame: templates are warped from the frame in which
   /// they were cut. At least the keyframes of the adjusted window.
   std::vector<std::pair<FrameId, Pose>> keyframes;
+  /// The camera that goes with these poses and landmarks, where the backend refines intrinsics;
+  /// null: the frame's own.
+  std::shared_ptr<const Camera> camera;
   /// Position of each live landmark in the world, sorted by track.
   std::vector<std::pair<TrackId, Eigen::Vector3d>> landmarks;
   /// Tracks that the backend found to be wrong since the last state; the frontend ends them.

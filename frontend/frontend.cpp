@@ -183,7 +183,7 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
 }
 
 std::vector<SearchQuery> Frontend::predict(const Frame& frame, const MotionState* motion) {
-  const Camera& camera = *frame.camera;
+  const Camera& camera = motion && motion->camera ? *motion->camera : *frame.camera;
   std::vector<SearchQuery> queries(tracks_.size());
   std::vector<bool> known(tracks_.size(), false);
   std::vector<Eigen::Vector2d> at, moved;  // of the tracks with a landmark
