@@ -95,7 +95,7 @@ inline float make_template(__global const uchar* reference, int width, int heigh
   for (int v = 0; v < T; ++v) {
     for (int c = 0; c < TEMPLATE_PITCH; c += LANES) {
       // Lanes past the template repeat its last sample, with weight 0.
-      const floatv du = TO_FLOAT(min(LANE_INDEX + (c - HALF_T), HALF_T));
+      const floatv du = TO_FLOAT(min(LANE_INDEX + (c - HALF_T), (intv)(HALF_T)));
       const float dv = (float)(v - HALF_T);
       const floatv px = job->fraction_x + a00 * du + a01 * dv;
       const floatv py = job->fraction_y + a10 * du + a11 * dv;
