@@ -65,7 +65,8 @@ inline vfloat gather(global const float* image, vint at) { return image[at]; }
 // Bilinear sample at (nx, ny) / nz; NaN outside the image or behind the camera.
 inline vfloat sample(global const float* image, int width, int height, int pitch, vfloat nx,
                      vfloat ny, vfloat nz) {
-  const vfloat x = nx / nz, y = ny / nz;
+  const vfloat scale = 1.0f / nz;
+  const vfloat x = nx * scale, y = ny * scale;
   const vint inside = (nz > 0.0f) & (x >= 0.0f) & (y >= 0.0f) & (x <= (float)(width - 1)) &
                       (y <= (float)(height - 1));
   const vfloat xc = select((vfloat)(0.0f), x, inside), yc = select((vfloat)(0.0f), y, inside);
@@ -213,13 +214,13 @@ kernel void score_planes(global const float* sums, global const float* s1, globa
 }
 
 // Best valid interior peak over depth. z = 1. A valid sample at either end that is better than the
-// best peak means that the depth lies outside the interval: no answer. position: depth sample
-// (parabola), -1 where there is none; score: at the peak; rival: score of the best other peak more
-// than RIVAL_DISTANCE samples away, 0 if none.
+// best peak means that the depth lies outside the interval: no answer. inverse: inverse depth (by
+// the parabola through the peak), 0 where there is none; score: at the peak; lead: how much higher
+// the peak is than the best other one more than RIVAL_DISTANCE samples away. Padded images.
 #define RIVAL_DISTANCE 3
 kernel void find_peaks(global const ushort* volume, int samples, int height, int row, int pitch,
                        float inverse_far, float inverse_step, global float* inverse,
-                       global float* score, global float* rival) {
+                       global float* score, global float* lead) {
   const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
   if (x0 >= row || y >= height) return;
   global const ushort* in = volume + y * row + x0;
@@ -259,7 +260,7 @@ kernel void find_peaks(global const ushort* volume, int samples, int height, int
   const vfloat r = mad((vfloat)(inverse_step), TO_FLOAT(best_at) + offset, (vfloat)(inverse_far));
   STORE(select((vfloat)(0.0f), r, found), inverse + at);
   STORE(select((vfloat)(0.0f), (fc - 0.25f * (fp - fn) * offset) / CODE_SCALE, found), score + at);
-  STORE(select((vfloat)(0.0f), TO_FLOAT(second >> 1) / CODE_SCALE, found), rival + at);
+  STORE(select((vfloat)(1.0f), TO_FLOAT((best >> 1) - (second >> 1)) / CODE_SCALE, found), lead + at);
 }
 
 // One pass of refinement, z = 1. A plane is linear in inverse depth over the image:
@@ -353,6 +354,16 @@ kernel void refine(global const float* reference, global const float* images, in
   }
   s1 /= norm;
   s2 /= norm;
+
+#if VEC == 16
+  if (!any(tried & whole)) {
+#else
+  if (!(tried & whole)) {
+#endif
+    STORE(own, inverse_out + at);
+    STORE(own_score, score_out + at);
+    return;
+  }
 
   vfloat scores[3];
   vint valid[3];

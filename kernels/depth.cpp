@@ -112,7 +112,7 @@ DepthSweeper::DepthSweeper(std::shared_ptr<Device> device, const DepthSweepOptio
       sums_(device_),
       inverse_(device_),
       score_(device_),
-      rival_(device_),
+      lead_(device_),
       inverse_next_(device_),
       score_next_(device_),
       volume_(device_) {}
@@ -193,7 +193,7 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
     fill(s2_, area(row, height), nan, lane);
     fill(warped_, image_size * planes, nan, lane);
     fill(sums_, 3 * sums_size * planes, nan, lane);
-    for (Buffer<float>* out : {&inverse_, &score_, &rival_, &inverse_next_, &score_next_}) {
+    for (Buffer<float>* out : {&inverse_, &score_, &lead_, &inverse_next_, &score_next_}) {
       fill(*out, image_size, 0, lane);
     }
     volume_.resize(area(row, height) * static_cast<std::size_t>(request.samples));
@@ -217,7 +217,7 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
       queue.finish();
     }
     set_arguments(kernels_.find_peaks, volume_.cl(), request.samples, height, row, pitch, far, step,
-                  inverse_.cl(), score_.cl(), rival_.cl());
+                  inverse_.cl(), score_.cl(), lead_.cl());
     launch(*device_, lane, kernels_.find_peaks, groups, height);
     float h = 1;
     for (int pass = 0; pass < request.refinements; ++pass, h *= 0.5F) {
@@ -231,17 +231,17 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
     }
   });
 
-  std::vector<float> inverse(image_size), score(image_size), rival(image_size);
+  std::vector<float> inverse(image_size), score(image_size), lead(image_size);
   inverse_.download(inverse, 0, lane);
   score_.download(score, 0, lane);
-  rival_.download(rival, 0, lane);
+  lead_.download(lead, 0, lane);
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x) {
       const std::size_t at = area(pitch, y) + static_cast<std::size_t>(kPadding + x);
       if (!(inverse[at] > 0) || !(score[at] > 0)) continue;
       result.depth(x, y) = 1 / inverse[at];
       result.confidence(x, y) = std::min(score[at], 1.0F);
-      result.rival(x, y) = rival[at];
+      result.lead(x, y) = lead[at];
     }
   }
   return result;

@@ -44,7 +44,7 @@ struct SweepRequest {
 struct SweepResult {
   FloatImage depth;       ///< z in camera coordinates [map units]; 0 = no answer
   FloatImage confidence;  ///< fused score in [0, 1]; 0 = no answer
-  FloatImage rival;       ///< score of the best other peak of that ray's sweep; 0 = none
+  FloatImage lead;        ///< of the best peak's score over the next best one's; 1 = no other
 };
 
 /// Depth of a view by multi-view NCC: a sweep of fronto-parallel planes, whose weighted sums are
@@ -82,7 +82,7 @@ class DepthSweeper {
   Kernels kernels_;
   int vector_ = 1;  ///< pixels per work-item
   int slice_ = 1;   ///< depth samples per launch
-  Buffer<float> images_, geometry_, s1_, s2_, warped_, sums_, inverse_, score_, rival_,
+  Buffer<float> images_, geometry_, s1_, s2_, warped_, sums_, inverse_, score_, lead_,
       inverse_next_, score_next_;
   Buffer<std::uint16_t> volume_;
 };

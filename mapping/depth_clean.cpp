@@ -39,17 +39,16 @@ Verdict ask(const DepthWitness& witness, const Eigen::Vector3d& p_camera, double
 
 }  // namespace
 
-void weaken_ambiguous(DepthMap& map, const FloatImage& rival) {
-  constexpr float kNoDifference = 0.01F;
-  constexpr float kClearDifference = 0.15F;
+void weaken_ambiguous(DepthMap& map, const FloatImage& lead) {
+  constexpr float kNoLead = 0.03F;
+  constexpr float kClearLead = 0.15F;
   for (int y = 0; y < map.depth.height(); ++y) {
     for (int x = 0; x < map.depth.width(); ++x) {
       if (!(map.depth(x, y) > 0)) continue;
-      const float difference = map.confidence(x, y) - rival(x, y);
-      if (difference < kNoDifference) {
+      if (lead(x, y) < kNoLead) {
         take_away(map, x, y);
       } else {
-        map.confidence(x, y) *= 0.5F + 0.5F * std::min(1.0F, difference / kClearDifference);
+        map.confidence(x, y) *= 0.5F + 0.5F * std::min(1.0F, lead(x, y) / kClearLead);
       }
     }
   }

@@ -8,8 +8,8 @@ namespace corvid {
 
 /// Lowers the confidence of rays whose sweep had a second peak nearly as high as the best one
 /// (repeated structure), and takes their answer away where the two cannot be told apart.
-/// @param rival  score of the best other peak, per ray.
-void weaken_ambiguous(DepthMap& map, const FloatImage& rival);
+/// @param lead  of the best peak's score over the next best one's, per ray.
+void weaken_ambiguous(DepthMap& map, const FloatImage& lead);
 
 /// Another view's depth, to compare with.
 struct DepthWitness {

@@ -26,7 +26,7 @@ constexpr double kRefuseMotion_vox = 0.5;   ///< of points at the median depth
 constexpr double kMinAnswered = 0.02;       ///< share of rays under which depth is no depth
 constexpr double kMinIsland = 5e-4;         ///< share of rays of the smallest island kept
 constexpr double kVoxelsPerDepth = 96;      ///< options.h: voxel_size
-constexpr int kRefinements = 3;
+constexpr int kRefinements = 2;
 constexpr std::size_t kImageBudget_bytes = 64UL << 20;
 
 double rotation_between(const Pose& a, const Pose& b) {
@@ -213,7 +213,7 @@ struct Mapper::Impl {
     depth->confidence = std::move(result.confidence);
     timings.emplace_back("depth", watch.lap_ms());
 
-    weaken_ambiguous(*depth, result.rival);
+    weaken_ambiguous(*depth, result.lead);
     remove_contradicted(*depth, witnesses);
     const auto rays = static_cast<double>(depth->depth.size());
     remove_speckles(*depth, static_cast<int>(kMinIsland * rays));

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 #include <limits>
 #include <unordered_set>
 
@@ -74,9 +73,15 @@ struct Projector {
         voxel_size(voxel) {}
 };
 
+/// What a view had to say about a block.
+struct Said {
+  bool anything = false;
+  bool surface = false;  ///< within the truncation distance of a surface
+};
+
 /// Adds (sign = 1) or takes out (sign = -1) what one view says about one block. The same numbers
 /// come out both times: everything is a function of the view and the block index.
-bool integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex& index,
+Said integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex& index,
                VoxelBlock& block, int sign) {
   const Eigen::Vector3f corner =
       (T_camera_world * (Eigen::Vector3d(index.x, index.y, index.z) * (kSide * p.voxel_size)))
@@ -89,7 +94,7 @@ bool integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex&
   const bool coloured = !p.colour.empty();
   const float x_limit = static_cast<float>(width) - 0.5F;
   const float y_limit = static_cast<float>(height) - 0.5F;
-  bool any = false;
+  Said said;
   for (int z = 0; z < kSide; ++z) {
     for (int y = 0; y < kSide; ++y) {
       const Eigen::Vector3f row = corner + static_cast<float>(y) * dy + static_cast<float>(z) * dz;
@@ -115,7 +120,8 @@ bool integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex&
         const int step =
             static_cast<int>(std::lround(static_cast<float>(w) * clipped * Voxel::kDistanceSteps));
         Voxel& out = block.voxels[static_cast<std::size_t>(VoxelBlock::offset(x, y, z))];
-        any = true;
+        said.anything = true;
+        said.surface = said.surface || !free;
         out.sum_distance += sign * step;
         out.sum_weight += static_cast<std::uint32_t>(sign * w);
         if (coloured && std::abs(distance) < 0.5F * p.truncation) {
@@ -128,12 +134,8 @@ bool integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex&
       }
     }
   }
-  return any;
-}
-
-bool is_empty(const VoxelBlock& block) {
-  return std::all_of(block.voxels.begin(), block.voxels.end(),
-                     [](const Voxel& voxel) { return voxel == Voxel{}; });
+  block.surface_views += said.surface ? sign : 0;
+  return said;
 }
 
 BlockIndex block_of(const Eigen::Vector3d& p_world, double block_size, double half_voxel) {
@@ -201,12 +203,19 @@ FusedView VoxelBlocks::fuse(const DepthMap& map, const ColourImage& colour,
                         : *std::max_element(map.depth.data(), map.depth.data() + map.depth.size());
   for (auto it = blocks_.begin(); it != blocks_.end();) {
     VoxelBlock& block = *it->second;
-    if (may_be_seen(it->first, map.camera, T_camera_world, deepest) &&
-        integrate(projector, T_camera_world, it->first, block, 1)) {
+    Said said;
+    if (may_be_seen(it->first, map.camera, T_camera_world, deepest)) {
+      said = integrate(projector, T_camera_world, it->first, block, 1);
+    }
+    if (block.surface_views == 0) {  // was made for this view, which then had no surface in it
+      it = blocks_.erase(it);
+      continue;
+    }
+    if (said.anything) {
       view.blocks.emplace_back(it->first, block.serial);
       changed_.insert(it->first);
     }
-    it = is_empty(block) ? blocks_.erase(it) : std::next(it);
+    ++it;
   }
   std::sort(view.blocks.begin(), view.blocks.end());
   return view;
@@ -221,7 +230,7 @@ void VoxelBlocks::unfuse(const FusedView& view, const DepthMap& map, const Colou
     if (it == blocks_.end() || it->second->serial != serial) continue;
     integrate(projector, T_camera_world, index, *it->second, -1);
     changed_.insert(index);
-    if (is_empty(*it->second)) blocks_.erase(it);
+    if (it->second->surface_views == 0) blocks_.erase(it);
   }
 }
 
@@ -299,6 +308,7 @@ VoxelBlock& VoxelBlocks::touch(const BlockIndex& index) {
   if (!block) {
     block = std::make_unique<VoxelBlock>();
     block->serial = next_serial_++;
+    block->surface_views = 1;
   }
   changed_.insert(index);
   return *block;

@@ -51,6 +51,7 @@ struct VoxelBlock {
   static constexpr int kSide = 8;
   static constexpr int kVoxels = kSide * kSide * kSide;
   std::uint64_t serial = 0;  ///< differs for every block that was ever made
+  int surface_views = 0;     ///< views that measured a surface in it; a block without is removed
   std::array<Voxel, kVoxels> voxels{};
 
   [[nodiscard]] static constexpr int offset(int x, int y, int z) {
@@ -91,7 +92,8 @@ class VoxelBlocks {
   [[nodiscard]] FusedView fuse(const DepthMap& depth_map, const ColourImage& colour,
                                const Pose& T_world_camera, const Eigen::Vector3d& p_keep);
   /// Takes out what fuse() added, exactly; the same depth map and colour must be given. Blocks that
-  /// were dropped in the meantime are skipped. Blocks left without any observation are removed.
+  /// were dropped in the meantime are skipped. Blocks left without a view that measured a surface
+  /// in them are removed, also if others saw them as free space.
   void unfuse(const FusedView& view, const DepthMap& depth_map, const ColourImage& colour);
 
   /// Blocks changed, made or removed since the last call, sorted.

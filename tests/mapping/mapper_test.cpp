@@ -1,0 +1,262 @@
+#include "mapping/mapper.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+
+#include "mapping/mesh_checks.h"
+#include "scenes/true_map.h"
+
+namespace corvid {
+namespace {
+
+using testing::PlaneScene;
+
+std::shared_ptr<Device> device() {
+  static const auto opened = Device::open("auto");
+  if (!opened) throw std::runtime_error(opened.error().to_string());
+  return *opened;
+}
+
+std::unique_ptr<Mapper> make_mapper(MeshSink* sink = nullptr, int max_blocks = 60000) {
+  MappingOptions options;
+  options.depth_scale = 1;
+  options.max_blocks = max_blocks;
+  auto mapper = Mapper::create(device(), options, sink);
+  if (!mapper) throw std::runtime_error(mapper.error().to_string());
+  return std::move(*mapper);
+}
+
+/// Keeps the newest mesh of every block, as a viewer would.
+struct Viewer final : MeshSink {
+  std::map<std::array<int, 3>, TriangleMesh> blocks;
+  std::uint64_t version = 0;
+  int removals = 0;
+  void on_block(const MeshBlock& block) override {
+    EXPECT_GE(block.version, version);
+    version = block.version;
+    if (block.mesh.empty()) {
+      EXPECT_EQ(blocks.erase(block.index), 1U) << "removed, but it was never sent";
+      ++removals;
+    } else {
+      blocks[block.index] = block.mesh;
+    }
+  }
+  [[nodiscard]] std::size_t triangles() const {
+    std::size_t n = 0;
+    for (const auto& [index, mesh] : blocks) n += mesh.triangles.size();
+    return n;
+  }
+};
+
+/// A ball in front of a wall over a floor.
+PlaneScene room() {
+  PlaneScene scene;
+  scene.planes = {{Eigen::Vector3d(0, 0, 1), 5}, {Eigen::Vector3d(0, 1, 0), 1.2}};
+  scene.spheres = {{Eigen::Vector3d(0.3, 0.2, 3.2), 0.7}};
+  scene.finest = 0.07;
+  return scene;
+}
+
+double distance_to_room(const Eigen::Vector3d& p) {
+  return std::min({std::abs(p.z() - 5), std::abs(p.y() - 1.2),
+                   std::abs((p - Eigen::Vector3d(0.3, 0.2, 3.2)).norm() - 0.7)});
+}
+
+const MapSnapshot& room_map() {
+  static const MapSnapshot map = [] {
+    std::vector<Pose> poses;
+    for (int i = 0; i < 7; ++i) {
+      poses.emplace_back(so3_exp({-0.1, -0.04 * (i - 3), 0}),
+                         Eigen::Vector3d(0.18 * (i - 3), 0.03 * (i % 2), 0.05 * i));
+    }
+    return testing::true_map(room(), testing::pinhole(160, 120, 130), poses);
+  }();
+  return map;
+}
+
+MapSnapshot first_keyframes(const MapSnapshot& map, std::size_t n) {
+  MapSnapshot out = map;
+  out.keyframes.resize(n);
+  return out;
+}
+
+MapSnapshot moved(const MapSnapshot& map, const Pose& T_new_old) {
+  MapSnapshot out = map;
+  ++out.version;
+  for (auto& keyframe : out.keyframes) {
+    auto copy = std::make_shared<Keyframe>(*keyframe);
+    copy->T_world_camera = T_new_old * copy->T_world_camera;
+    keyframe = copy;
+  }
+  for (Landmark& landmark : out.landmarks) landmark.p_world = T_new_old * landmark.p_world;
+  return out;
+}
+
+double median_error_vox(const TriangleMesh& mesh, double voxel_size, const Pose& T_old_new = {}) {
+  std::vector<double> errors;
+  for (const auto& v : mesh.vertices) {
+    errors.push_back(distance_to_room(T_old_new * v.cast<double>()) / voxel_size);
+  }
+  std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2),
+                   errors.end());
+  return errors[errors.size() / 2];
+}
+
+TEST(Mapper, DepthAndSurfaceOfAKnownRoom) {
+  Viewer viewer;
+  auto mapper = make_mapper(&viewer);
+  mapper->finish(room_map());
+  const MapperStatistics statistics = mapper->statistics();
+  EXPECT_EQ(statistics.depth_maps, 7U);
+  EXPECT_GT(statistics.answered, 0.6);
+  int answers = 0, within_2_percent = 0;
+  for (const auto& map : mapper->depth_maps()) {
+    const FloatImage truth = room().depth(map->camera, map->T_world_camera);
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      if (!(map->depth.data()[i] > 0)) continue;
+      ++answers;
+      within_2_percent += std::abs(map->depth.data()[i] / truth.data()[i] - 1) < 0.02;
+      EXPECT_GT(map->confidence.data()[i], 0);
+      EXPECT_LE(map->confidence.data()[i], 1);
+    }
+  }
+  EXPECT_GT(within_2_percent, 0.9 * answers);
+  const TriangleMesh mesh = mapper->mesh();
+  ASSERT_GT(mesh.triangles.size(), 5000U);
+  EXPECT_LT(median_error_vox(mesh, mapper->voxel_size()), 0.5);
+  EXPECT_EQ(testing::topology(mesh).crowded_edges, 0);
+  EXPECT_EQ(viewer.triangles(), mesh.triangles.size()) << "what was sent is the whole surface";
+}
+
+TEST(Mapper, AKeyframeWaitsForItsLaterNeighbours) {
+  auto mapper = make_mapper();
+  EXPECT_FALSE(mapper->step({}));
+  EXPECT_FALSE(mapper->step(first_keyframes(room_map(), 2)));
+  EXPECT_TRUE(mapper->step(first_keyframes(room_map(), 3)));
+  EXPECT_FALSE(mapper->step(first_keyframes(room_map(), 3)));
+  EXPECT_EQ(mapper->depth_maps().size(), 1U);
+  EXPECT_TRUE(mapper->step(first_keyframes(room_map(), 4)));
+  EXPECT_EQ(mapper->depth_maps().back()->keyframe, KeyframeId(1));
+  mapper->finish(first_keyframes(room_map(), 4));
+  EXPECT_EQ(mapper->depth_maps().size(), 4U);
+}
+
+TEST(Mapper, TheSurfaceFollowsTheKeyframes) {
+  Viewer viewer;
+  auto mapper = make_mapper(&viewer);
+  mapper->finish(room_map());
+  const std::size_t blocks = mapper->statistics().blocks;
+  const Pose T_new_old(so3_exp({0.02, 0.2, -0.1}), Eigen::Vector3d(0.7, -0.3, 0.4));
+  const MapSnapshot after = moved(room_map(), T_new_old);
+  mapper->finish(after);
+  EXPECT_EQ(mapper->statistics().refusions, 7U);
+  EXPECT_EQ(mapper->depth_maps().size(), 7U) << "no depth is estimated twice";
+  const TriangleMesh mesh = mapper->mesh();
+  EXPECT_LT(median_error_vox(mesh, mapper->voxel_size(), T_new_old.inverse()), 0.5);
+  EXPECT_GT(median_error_vox(mesh, mapper->voxel_size()), 2);
+  EXPECT_GT(viewer.removals, 0);
+  EXPECT_EQ(viewer.triangles(), mesh.triangles.size());
+  // Back again: nothing of the excursion is left.
+  mapper->finish(room_map());
+  EXPECT_NEAR(static_cast<double>(mapper->statistics().blocks), static_cast<double>(blocks),
+              0.02 * static_cast<double>(blocks));
+  EXPECT_LT(median_error_vox(mapper->mesh(), mapper->voxel_size()), 0.5);
+}
+
+TEST(Mapper, KeyframesThatLeaveTheMapTakeTheirSurfaceAlong) {
+  Viewer viewer;
+  auto mapper = make_mapper(&viewer);
+  mapper->finish(first_keyframes(room_map(), 5));
+  ASSERT_GT(viewer.triangles(), 0U);
+  MapSnapshot other = room_map();
+  other.keyframes.erase(other.keyframes.begin(), other.keyframes.begin() + 6);
+  mapper->finish(other);
+  EXPECT_EQ(mapper->statistics().blocks, 0U);
+  EXPECT_TRUE(viewer.blocks.empty());
+  EXPECT_TRUE(mapper->mesh().empty());
+}
+
+TEST(Mapper, TheBudgetHolds) {
+  auto mapper = make_mapper(nullptr, 150);
+  mapper->finish(room_map());
+  EXPECT_LE(mapper->statistics().blocks, 150U);
+  EXPECT_GT(mapper->statistics().dropped_blocks, 0U);
+}
+
+TEST(Mapper, ResultsRepeatBitForBit) {
+  std::vector<TriangleMesh> meshes;
+  for (int i = 0; i < 2; ++i) {
+    auto mapper = make_mapper();
+    for (std::size_t n = 1; n <= room_map().keyframes.size(); ++n) {
+      while (mapper->step(first_keyframes(room_map(), n))) {
+      }
+    }
+    mapper->finish(room_map());
+    meshes.push_back(mapper->mesh());
+  }
+  EXPECT_EQ(meshes[0].vertices, meshes[1].vertices);
+  EXPECT_EQ(meshes[0].triangles, meshes[1].triangles);
+  EXPECT_EQ(meshes[0].colours, meshes[1].colours);
+}
+
+TEST(Mapper, LensesAreUndistorted) {
+  Camera lens = testing::pinhole(160, 120, 110);
+  lens.model = CameraModel::radtan;
+  lens.distortion = {-0.28, 0.07, 0.0002, -0.0003, 0};
+  std::vector<Pose> poses;
+  for (const auto& keyframe : room_map().keyframes) poses.push_back(keyframe->T_world_camera);
+  poses.resize(5);
+  auto mapper = make_mapper();
+  mapper->finish(testing::true_map(room(), lens, poses));
+  ASSERT_EQ(mapper->depth_maps().size(), 5U);
+  EXPECT_EQ(mapper->depth_maps()[0]->camera.model, CameraModel::pinhole);
+  EXPECT_LT(median_error_vox(mapper->mesh(), mapper->voxel_size()), 0.5);
+}
+
+TEST(Mapper, BadViewsGiveNoDepthAndNoFault) {
+  const auto surface_of = [](const MapSnapshot& map) {
+    auto mapper = make_mapper();
+    mapper->finish(map);
+    return mapper->depth_maps().size() + mapper->mesh().triangles.size();
+  };
+  const Camera camera = testing::pinhole(80, 60, 65);
+  const Pose here;
+  EXPECT_EQ(surface_of(testing::true_map(room(), camera, {here, here, here, here})), 0U)
+      << "identical views";
+  PlaneScene blank = room();
+  blank.contrast = 0;
+  std::vector<Pose> poses;
+  for (int i = 0; i < 4; ++i) {
+    poses.emplace_back(Eigen::Quaterniond::Identity(), Eigen::Vector3d(0.2 * i, 0, 0));
+  }
+  EXPECT_EQ(surface_of(testing::true_map(blank, camera, poses)), 0U) << "no texture";
+  MapSnapshot no_landmarks = testing::true_map(room(), camera, poses, 0);
+  EXPECT_EQ(surface_of(no_landmarks), 0U);
+  // Poses and landmarks that disagree by a factor of a thousand.
+  MapSnapshot wrong = testing::true_map(room(), camera, poses);
+  for (Landmark& landmark : wrong.landmarks) landmark.p_world *= 1000;
+  EXPECT_EQ(surface_of(wrong), 0U) << "landmarks that do not fit the poses";
+  // An image of another size than the camera says.
+  MapSnapshot odd = testing::true_map(room(), camera, poses);
+  for (auto& keyframe : odd.keyframes) {
+    auto frame = std::make_shared<Frame>(*keyframe->frame);
+    frame->grey = GreyImage(30, 20);
+    auto copy = std::make_shared<Keyframe>(*keyframe);
+    copy->frame = frame;
+    keyframe = copy;
+  }
+  EXPECT_EQ(surface_of(odd), 0U);
+}
+
+TEST(Mapper, WrongOptionsAreRefused) {
+  MappingOptions options;
+  options.template_px = 8;
+  EXPECT_FALSE(Mapper::create(device(), options, nullptr).has_value());
+}
+
+}  // namespace
+}  // namespace corvid
