@@ -65,7 +65,6 @@ Expected<std::string> sensor_yaml(const SourceInfo& info) {
   return fmt::format(
       "# A camera as in the ASL (EuRoC) format.\n"
       "sensor_type: camera\n"
-      "comment: {}\n"
       "T_BS:\n  cols: 4\n  rows: 4\n"
       "  data: [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]\n"
       "rate_hz: {}\n"
@@ -74,8 +73,8 @@ Expected<std::string> sensor_yaml(const SourceInfo& info) {
       "intrinsics: [{}, {}, {}, {}]\n"
       "distortion_model: {}\n"
       "distortion_coefficients: [{}]\n",
-      info.kind.empty() ? "recording" : "'" + info.kind + "'", info.rate_hz, c.width_px,
-      c.height_px, c.fx_px, c.fy_px, c.cx_px, c.cy_px, model, fmt::join(values, ", "));
+      info.rate_hz, c.width_px, c.height_px, c.fx_px, c.fy_px, c.cx_px, c.cy_px, model,
+      fmt::join(values, ", "));
 }
 
 Expected<std::vector<unsigned char>> encode(const Frame& frame, const fs::path& path) {
