@@ -73,11 +73,13 @@ Expected<DepthSweeper> DepthSweeper::create(std::shared_ptr<Device> device,
                                             const std::string& extra_options) {
   if (options.template_px < 3 || options.template_px > kMaxTemplate_px ||
       options.template_px % 2 == 0 || options.min_views < 1 || !(options.min_score > 0) ||
-      !(options.min_score < 1) || !(options.min_variance > 0)) {
+      !(options.min_score < 1) || !(options.min_variance > 0) ||
+      (options.vector_px != 0 && options.vector_px != 1 && options.vector_px != kPadding)) {
     return fail(ErrorCode::invalid_argument, "depth options are out of range", "mapping",
-                "template_px odd from 3 to 31, min_score between 0 and 1, min_views at least 1");
+                "template_px odd from 3 to 31, min_score between 0 and 1, min_views at least 1, "
+                "vector_px 0, 1 or 16");
   }
-  const int vector = device->info().gpu ? 1 : 16;
+  const int vector = options.vector_px > 0 ? options.vector_px : device->info().gpu ? 1 : kPadding;
   const std::string build =
       "-DVEC=" + std::to_string(vector) + " -DRADIUS=" + std::to_string(options.template_px / 2) +
       " -DPAD=" + std::to_string(kPadding) + " -DWEIGHTS=" + weight_list(options.template_px) +

@@ -17,6 +17,7 @@ struct DepthSweepOptions {
   double min_score = 0.6;   ///< tau: a neighbour counts above it (thesis 6.4)
   int min_views = 2;        ///< neighbours that must agree (thesis 6.4)
   double min_variance = 2;  ///< of a window with texture [grey levels^2]
+  int vector_px = 0;        ///< pixels per work-item, 1 or 16; 0: what suits the device
 };
 
 /// An undistorted image as the sweep reads it, on the device. Made by DepthSweeper::prepare().

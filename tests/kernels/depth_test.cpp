@@ -79,11 +79,13 @@ struct Comparison {
   double worst_score = 0, worst_step = 0;
 };
 
-Comparison compare_with_oracle(const std::string& extra_options, int scale = 1) {
+Comparison compare_with_oracle(const std::string& extra_options, int scale, int vector_px) {
   const Views views = small_views();
   oracle::DepthSettings s;
   s.near = 2, s.far = 6, s.samples = 30;
-  DepthSweeper sweeper = make_sweeper({}, extra_options);
+  DepthSweepOptions options;
+  options.vector_px = vector_px;
+  DepthSweeper sweeper = make_sweeper(options, extra_options);
   const SweepResult result = views.estimate(sweeper, s.near, s.far, s.samples, 0, scale);
   std::vector<Image<double>> images;
   for (const GreyImage& image : views.images) {
@@ -118,17 +120,20 @@ Comparison compare_with_oracle(const std::string& extra_options, int scale = 1) 
 }
 
 TEST(Depth, SweepEqualsTheOracle) {
-  for (const int scale : {1, 2}) {
-    const Comparison c = compare_with_oracle("", scale);
-    EXPECT_LE(c.answers_differ, c.rays / 200) << "scale " << scale;
-    EXPECT_LT(c.worst_score, 1e-3) << "scale " << scale;
-    EXPECT_LT(c.worst_step, 0.1) << "scale " << scale;
+  for (const int vector_px : {1, 16}) {
+    for (const int scale : {1, 2}) {
+      const Comparison c = compare_with_oracle("", scale, vector_px);
+      EXPECT_LE(c.answers_differ, c.rays / 200) << "scale " << scale << " vector " << vector_px;
+      EXPECT_LT(c.worst_score, 1e-3) << "scale " << scale << " vector " << vector_px;
+      EXPECT_LT(c.worst_step, 0.1) << "scale " << scale << " vector " << vector_px;
+    }
   }
 }
 
 TEST(Depth, APlantedFaultIsCaught) {
-  const Comparison c = compare_with_oracle("-DCORVID_PLANT_FAULT");
-  EXPECT_GT(c.worst_score, 1e-3);
+  for (const int vector_px : {1, 16}) {
+    EXPECT_GT(compare_with_oracle("-DCORVID_PLANT_FAULT", 1, vector_px).worst_score, 1e-3);
+  }
 }
 
 struct Accuracy {
@@ -222,6 +227,22 @@ TEST(Depth, ResultsRepeatBitForBit) {
   EXPECT_EQ(first.depth, again.depth);
   EXPECT_EQ(first.depth, other.depth);
   EXPECT_EQ(first.confidence, other.confidence);
+}
+
+TEST(Depth, RefinementIsTheSameWhateverTheVectorLength) {
+  const Views views = small_views();
+  DepthSweepOptions scalar, wide;
+  scalar.vector_px = 1;
+  wide.vector_px = 16;
+  DepthSweeper a = make_sweeper(scalar), b = make_sweeper(wide);
+  const SweepResult x = views.estimate(a, 2, 6, 48, 3), y = views.estimate(b, 2, 6, 48, 3);
+  int answers = 0, differing = 0;
+  for (std::size_t i = 0; i < x.depth.size(); ++i) {
+    answers += x.depth.data()[i] > 0;
+    differing += std::abs(x.depth.data()[i] - y.depth.data()[i]) > 1e-3F * x.depth.data()[i];
+  }
+  EXPECT_GT(answers, 500);
+  EXPECT_LE(differing, answers / 100);
 }
 
 TEST(Depth, OptionsOutOfRangeAreRefused) {
