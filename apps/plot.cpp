@@ -153,7 +153,7 @@ void draw_axes(std::string& svg, const PlotOptions& options, const Frame& frame)
   }
   if (options.y_axis) {
     const double y_step =
-        tick_step(frame.y.size(), std::max(2, static_cast<int>(frame.height / 42)));
+        tick_step(frame.y.size(), std::max(2, static_cast<int>(frame.height / 34)));
     for (double k = std::ceil(frame.y.low / y_step - 1e-9);
          k * y_step <= frame.y.high + y_step * 1e-9; ++k) {
       const double y = frame({0, k * y_step}).y();
@@ -331,9 +331,9 @@ std::string svg_plot(const PlotOptions& options, std::span<const PlotSeries> ser
     frame.y.high += more_y;
     height = plot_height + frame.top + 40;
   } else {
+    if (options.x_range) frame.x = {options.x_range->x(), options.x_range->y()};
     if (frame.x.size() <= 0) pad(frame.x, 0);
     if (options.zero_based && frame.y.low >= 0) frame.y.low = 0;
-    if (options.y_max) frame.y.high = *options.y_max;
     if (options.zero_based && frame.y.low == 0) {
       frame.y.high = frame.y.high > 0 ? frame.y.high * 1.05 : 1;
     } else {
@@ -344,9 +344,13 @@ std::string svg_plot(const PlotOptions& options, std::span<const PlotSeries> ser
 
   fmt::format_to(
       out,
-      "<figure class=\"plot\">{}<svg viewBox=\"0 0 {} {:.0f}\" role=\"img\" aria-label=\"{}\">\n",
-      heading, options.width_px, height, html_escape(options.title));
+      "<figure class=\"plot{}\">{}<svg viewBox=\"0 0 {} {:.0f}\" role=\"img\" aria-label=\"{}\">\n",
+      picture ? " pictured" : "", heading, options.width_px, height, html_escape(options.title));
   if (picture) {
+    fmt::format_to(
+        out,
+        "<rect class=\"ground\" x=\"{:.1f}\" y=\"{:.1f}\" width=\"{:.1f}\" height=\"{:.1f}\"/>\n",
+        frame.left, frame.top, frame.width, frame.height);
     const Vector2d a = frame({picture->low.x(), picture->high.y()});
     const Vector2d b = frame({picture->high.x(), picture->low.y()});
     fmt::format_to(out,

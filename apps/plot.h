@@ -44,7 +44,7 @@ struct PlotOptions {
   bool equal_axes = false;  ///< one scale for x and y; the height follows from the data
   bool y_axis = true;       ///< false: a strip without values (bands only)
   bool zero_based = true;   ///< y starts at 0 if all values are positive
-  std::optional<double> y_max;
+  std::optional<Eigen::Vector2d> x_range;  ///< from, to; otherwise what the data spans
 };
 
 /// A self-contained inline <svg> in the page's colours (CSS variables of report.cpp). Long lines

@@ -1,5 +1,6 @@
 #include "apps/render_mesh.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -155,13 +156,38 @@ MeshPicture render_mesh(const TriangleMesh& mesh, const Camera& camera,
 
 ViewAxes guess_axes(const std::vector<Pose>& T_world_camera) {
   Eigen::Vector3d low = Eigen::Vector3d::Zero(), high = low;
+  Eigen::Vector3d back = Eigen::Vector3d::Zero(), above = back;  // sums of -z and -y
+  Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();              // of the x axes
+  double count = 0;
   for (const Pose& T : T_world_camera) {
     if (!T.finite()) continue;
     low = low.cwiseMin(T.translation());
     high = high.cwiseMax(T.translation());
+    const Eigen::Matrix3d R = T.R();
+    spread += R.col(0) * R.col(0).transpose();
+    above -= R.col(1);
+    back -= R.col(2);
+    ++count;
+  }
+  ViewAxes axes;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(spread);
+  const Eigen::Vector3d& values = eigen.eigenvalues();  // rising
+  // 0.01 is a turn of some 10 degrees to both sides; a tenth keeps rolling cameras out.
+  if (count > 2 && values[1] > 0.01 * count && values[0] < 0.1 * values[1]) {
+    axes.up = eigen.eigenvectors().col(0);
+    // Its sign: where the cameras' tops point, or their backs if they look straight down.
+    const double top = axes.up.dot(above), bottom = axes.up.dot(back);
+    if ((std::abs(top) > 0.1 * count ? top : bottom) < 0) axes.up = -axes.up;
+    Eigen::Vector3d ahead = Eigen::Vector3d::UnitZ();
+    if (std::abs(axes.up.z()) > 0.95) ahead = -Eigen::Vector3d::UnitY();
+    axes.forward = (ahead - ahead.dot(axes.up) * axes.up).normalized();
+    axes.right = axes.forward.cross(axes.up);
+    axes.right_name = "right";
+    axes.forward_name = "forward";
+    axes.up_name = "up";
+    return axes;
   }
   const Eigen::Vector3d size = high - low;
-  ViewAxes axes;
   if (size.z() < 0.5 * size.y()) {
     axes.forward = {0, -1, 0};
     axes.up = {0, 0, -1};

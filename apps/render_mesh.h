@@ -35,8 +35,11 @@ struct ViewAxes {
   }
 };
 
-/// The world is the first camera's, whose attitude is unknown: up is taken to be -y (a camera that
-/// looks ahead), or -z (one that looks down) where the path spreads far more along y than along z.
+/// The world is the first camera's, whose attitude is unknown. People and aircraft hold a camera
+/// without roll most of the time, so that its x axis stays level: up is the direction that the x
+/// axes of all poses spread least along, where they turn enough to tell. Otherwise up is -y (a
+/// camera that looks ahead), or -z (one that looks down) where the path spreads far more along y
+/// than along z.
 [[nodiscard]] ViewAxes guess_axes(const std::vector<Pose>& T_world_camera);
 
 struct MeshView {

@@ -30,10 +30,11 @@ std::string tiles(const ReportFacts& facts) {
   const RunResult& result = facts.input.result;
   std::string out = "<div class=\"tiles\">\n";
   const double share =
-      n.events > 0 ? static_cast<double>(n.with_pose) / static_cast<double>(n.events) : 0;
+      n.events > 0 ? static_cast<double>(n.poses) / static_cast<double>(n.events) : 0;
   out += html_tile("Frames with a pose", n.events > 0 ? format_percent(share) : "–", "",
-                   fmt::format("{} of {}; {} untracked after the start", format_count(n.with_pose),
-                               format_count(n.events), format_count(n.untracked_after_start)));
+                   fmt::format("{} of {}, {} of them at once; {} untracked after the start",
+                               format_count(n.poses), format_count(n.events),
+                               format_count(n.with_pose), format_count(n.untracked_after_start)));
   if (const auto& e = facts.input.trajectory_errors; e && e->problem.empty()) {
     out += html_tile("Trajectory error (ATE)", format_number(e->position_m.rmse), "m RMSE",
                      fmt::format("max {} m, over {} m of path", format_number(e->position_m.max),
@@ -148,11 +149,12 @@ std::string report_html(const ReportFacts& facts) {
         "Tracking say why.</p>\n";
   }
   body +=
-      "<nav><a href=\"#trajectory\">Trajectory</a><a href=\"#truth\">Errors against truth</a>"
-      "<a href=\"#tracking\">Tracking</a><a href=\"#timing\">Timing</a><a "
-      "href=\"#frames\">Frames</a>"
-      "<a href=\"#map\">Sparse map</a><a href=\"#depth\">Depth maps</a><a href=\"#mesh\">Mesh</a>"
-      "<a href=\"#files\">Files</a><a href=\"#options\">Options</a><a href=\"#notes\">Notes</a>"
+      "<nav><a href=\"#trajectory\">Trajectory</a>"
+      "<a href=\"#truth\">Errors against truth</a><a href=\"#tracking\">Tracking</a>"
+      "<a href=\"#mesh\">Mesh</a><a href=\"#depth\">Depth maps</a>"
+      "<a href=\"#map\">Sparse map</a><a href=\"#timing\">Timing</a>"
+      "<a href=\"#frames\">Frames</a><a href=\"#files\">Files</a>"
+      "<a href=\"#options\">Options</a><a href=\"#notes\">Notes</a>"
       "<a href=\"#machine\">Run and machine</a></nav>\n";
   body += tiles(facts);
   body += trajectory_section(facts);

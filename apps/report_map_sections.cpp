@@ -3,11 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "apps/plot.h"
 #include "apps/report.h"
 #include "apps/report_page.h"
 #include "apps/report_pictures.h"
+#include "io/undistort.h"
 
 namespace corvid {
 namespace {
@@ -40,10 +42,18 @@ const Keyframe* find_keyframe(const RunResult& result, KeyframeId id) {
   return nullptr;
 }
 
-std::string photo_of(const Frame& frame, const std::string& caption) {
-  if (frame.grey.empty() && frame.colour.empty()) return {};
-  const ColourImage image = frame.colour.empty() ? grey_as_colour(frame.grey) : frame.colour;
-  return html_photo(caption, frame.name, shrink(image, kPictureWidth));
+/// The keyframe's photograph, undistorted as renders and depth maps are.
+std::string photo_of(const Keyframe& keyframe, const Undistorter& undistort) {
+  const Frame* frame = keyframe.frame.get();
+  const Camera& camera = undistort.camera();
+  if (!frame || frame->grey.width() != camera.width_px ||
+      frame->grey.height() != camera.height_px) {
+    return {};
+  }
+  const ColourImage image =
+      frame->colour.empty() ? grey_as_colour(undistort(frame->grey)) : undistort(frame->colour);
+  return html_photo(fmt::format("Keyframe {}", keyframe.id.value), frame->name,
+                    shrink(image, kPictureWidth));
 }
 
 /// The same view with a picture `width_px` wide.
@@ -84,7 +94,7 @@ std::string map_section(const ReportFacts& facts) {
   options.title = "Landmarks from above";
   options.x_label = axes.right_name + " [map units]";
   options.y_label = axes.forward_name + " [map units]";
-  options.width_px = 900;
+  options.width_px = 1140;
   options.equal_axes = true;
   std::string html = svg_plot(options, series, {}, picture ? &*picture : nullptr);
   html += fmt::format(
@@ -99,10 +109,14 @@ std::string map_section(const ReportFacts& facts) {
 std::string depth_section(const ReportFacts& facts) {
   const RunResult& result = facts.input.result;
   const RunNumbers& n = facts.numbers;
-  std::vector<const DepthMap*> maps;
+  std::vector<const DepthMap*> maps, answered;
   for (const DepthMap& map : result.depth_maps) {
-    if (!map.depth.empty()) maps.push_back(&map);
+    if (map.depth.empty()) continue;
+    maps.push_back(&map);
+    const float* end = map.depth.data() + map.depth.size();
+    if (std::any_of(map.depth.data(), end, [](float z) { return z > 0; })) answered.push_back(&map);
   }
+  if (!answered.empty()) maps = answered;  // empty ones are counted, but there is nothing to see
   if (maps.empty()) return html_section("depth", "Depth maps", html_nothing("There are none."));
   std::string html = fmt::format(
       "<p>{} depth maps; {} of the pixels have an answer, with a mean confidence of {}.</p>\n"
@@ -110,13 +124,15 @@ std::string depth_section(const ReportFacts& facts) {
       "<span class=\"ramp viridis\"></span> 1. Empty pixels have no answer.</p>\n",
       format_count(n.depth_maps), html_escape(format_percent(n.depth_coverage)),
       format_number(n.depth_confidence));
+  std::optional<Undistorter> undistort;
+  if (result.map && result.map->camera) undistort.emplace(*result.map->camera);
   for (const std::size_t i : spread_indices(maps.size(), kDepthPictures)) {
     const DepthMap& map = *maps[i];
     const DepthPicture depth = picture_of_depth(map.depth);
     const std::string name = fmt::format("Keyframe {}", map.keyframe.value);
     html += "<div class=\"trio\">";
     const Keyframe* keyframe = find_keyframe(result, map.keyframe);
-    if (keyframe && keyframe->frame) html += photo_of(*keyframe->frame, name);
+    if (keyframe && undistort) html += photo_of(*keyframe, *undistort);
     html += html_picture(
         name + ", depth",
         depth.far > 0
@@ -147,12 +163,11 @@ std::string mesh_section(const ReportFacts& facts) {
   // The middle keyframe's own view beside its photograph: what the mesh should look like.
   if (result.map && result.map->camera && !result.map->keyframes.empty()) {
     const Keyframe& keyframe = *result.map->keyframes[result.map->keyframes.size() / 2];
-    const Camera camera = resized(result.map->camera->undistorted(), 800);
+    const Undistorter undistort(*result.map->camera);
+    const Camera camera = resized(undistort.camera(), 800);
     html += html_picture(fmt::format("As keyframe {} saw it", keyframe.id.value), "rendered",
                          render_mesh(result.mesh, camera, keyframe.T_world_camera));
-    if (keyframe.frame) {
-      html += photo_of(*keyframe.frame, fmt::format("Keyframe {}", keyframe.id.value));
-    }
+    html += photo_of(keyframe, undistort);
   }
   html += "</div>\n";
   std::string text =

@@ -165,6 +165,7 @@ std::optional<PlotPicture> picture_of_landmarks(const std::vector<Landmark>& lan
   const int width = std::max(static_cast<int>(size.x() * scale), 2);
   const int height = std::max(static_cast<int>(size.y() * scale), 2);
   ColourImage image(width, height, Rgb8{22, 25, 29});
+  const int dot = x.size() < 8000 ? 3 : 2;
   for (const Landmark& l : landmarks) {
     if (!l.p_world.allFinite()) continue;
     const Eigen::Vector2d p = (axes.top(l.p_world) - out.low) * scale;
@@ -173,8 +174,8 @@ std::optional<PlotPicture> picture_of_landmarks(const std::vector<Landmark>& lan
     // Dark landmarks would vanish on the dark ground.
     const auto lift = [](std::uint8_t v) { return static_cast<std::uint8_t>(70 + v * 185 / 255); };
     const Rgb8 colour{lift(l.colour.r), lift(l.colour.g), lift(l.colour.b)};
-    for (int dy = 0; dy < 2; ++dy) {
-      for (int dx = 0; dx < 2; ++dx) {
+    for (int dy = 0; dy < dot; ++dy) {
+      for (int dx = 0; dx < dot; ++dx) {
         if (image.contains(px + dx, py + dy)) image(px + dx, py + dy) = colour;
       }
     }

@@ -49,8 +49,9 @@ PlotSeries over_time(const RunResult& result, std::string name, int colour, F va
   return series;
 }
 
-PlotOptions time_plot(std::string title, std::string y_label) {
+PlotOptions time_plot(const RunNumbers& numbers, std::string title, std::string y_label) {
   PlotOptions options;
+  if (numbers.capture_s > 0) options.x_range = Vector2d(0, numbers.capture_s);
   options.title = std::move(title);
   options.x_label = "time [s]";
   options.y_label = std::move(y_label);
@@ -84,7 +85,9 @@ std::string trajectory_section(const ReportFacts& facts) {
   const ViewAxes axes = guess_axes(poses_of(result.trajectory));
   std::vector<Vector3d> estimate, truth;
   std::string unit = "map units";
-  std::string note = "Axes of the first camera: x right, y down, z forward.";
+  std::string note = axes.up_name == "up"
+                         ? "Up is guessed: the direction that the cameras' x axes keep level to."
+                         : "Axes of the first camera: x right, y down, z forward.";
   if (has_truth(facts)) {
     // Drawn in the estimate's axes, so that up stays up, but in the truth's metres.
     const TrajectoryErrors& errors = *facts.input.trajectory_errors;
@@ -167,10 +170,16 @@ std::string truth_section(const ReportFacts& facts) {
     }
     html += fmt::format("<p class=\"note\">{}</p>\n", html_escape(text));
     std::vector<PlotSeries> position(1), orientation(1);
+    const double gap_s = 3.5 * facts.numbers.capture_s /
+                         static_cast<double>(std::max<std::size_t>(facts.numbers.events, 1));
     position[0] = {"position", {}, 0, PlotSeries::Style::line};
     orientation[0] = {"orientation", {}, 0, PlotSeries::Style::line};
     for (std::size_t i = 0; i < errors->poses.size(); ++i) {
       const double t = seconds(facts.input.result, errors->poses[i].time_ns);
+      if (i > 0 && t - seconds(facts.input.result, errors->poses[i - 1].time_ns) > gap_s) {
+        position[0].points.push_back(kBreak);
+        orientation[0].points.push_back(kBreak);
+      }
       if (i < errors->position_errors_m.size()) {
         position[0].points.emplace_back(t, errors->position_errors_m[i]);
       }
@@ -178,8 +187,9 @@ std::string truth_section(const ReportFacts& facts) {
         orientation[0].points.emplace_back(t, errors->orientation_errors_deg[i]);
       }
     }
-    html += pair(svg_plot(time_plot("Position error", "error [m]"), position),
-                 svg_plot(time_plot("Orientation error", "error [deg]"), orientation));
+    html +=
+        pair(svg_plot(time_plot(facts.numbers, "Position error", "error [m]"), position),
+             svg_plot(time_plot(facts.numbers, "Orientation error", "error [deg]"), orientation));
   }
   if (surface && !surface->problem.empty()) {
     html += html_nothing("The surface was not compared: " + surface->problem);
@@ -226,7 +236,7 @@ std::string tracking_section(const ReportFacts& facts) {
       bands.push_back({begin, end, css, title});
     }
   }
-  PlotOptions strip = time_plot("State", "");
+  PlotOptions strip = time_plot(n, "State", "");
   strip.width_px = 1140;
   strip.height_px = 78;
   strip.y_axis = false;
@@ -249,8 +259,8 @@ std::string tracking_section(const ReportFacts& facts) {
   const std::vector<PlotSeries> error = {over_time(result, "error", 0, [&](const PoseEvent& e) {
     return with_pose(e, std::sqrt(std::max(e.mse_px2, 0.0)));
   })};
-  html += pair(svg_plot(time_plot("Tracks and inliers per frame", "count"), counts),
-               svg_plot(time_plot("Reprojection error of the inliers", "RMS [px]"), error));
+  html += pair(svg_plot(time_plot(n, "Tracks and inliers per frame", "count"), counts),
+               svg_plot(time_plot(n, "Reprojection error of the inliers", "RMS [px]"), error));
 
   // Reasons, most frequent first.
   std::vector<std::pair<std::string, std::size_t>> reasons;
@@ -304,7 +314,8 @@ std::string timing_section(const ReportFacts& facts) {
   const std::vector<PlotSeries> latency = {
       over_time(result, "latency", 0,
                 [](const PoseEvent& e) -> std::optional<double> { return e.latency_ms; })};
-  PlotOptions options = time_plot("Latency, from a frame's arrival to its pose", "latency [ms]");
+  PlotOptions options =
+      time_plot(facts.numbers, "Latency, from a frame's arrival to its pose", "latency [ms]");
   options.width_px = 1140;
   html += "<p></p>" + svg_plot(options, latency);
   return html_section("timing", "Timing", html);

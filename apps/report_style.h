@@ -23,11 +23,11 @@ nav{display:flex;flex-wrap:wrap;gap:4px 16px;margin:14px 0 20px;font-size:14px}
 nav a{text-decoration:none}nav a:hover{text-decoration:underline}
 .banner{background:var(--alert);color:var(--alert-ink);border-radius:8px;padding:12px 16px;margin:16px 0;
 font-weight:600}
-.tiles{display:grid;grid-template-columns:repeat(auto-fill,minmax(170px,1fr));gap:12px;margin:0 0 20px}
+.tiles{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(200px,44%),1fr));gap:12px;margin:0 0 20px}
 .tile,section{background:var(--card);border:1px solid var(--edge);border-radius:10px}
 .tile{padding:12px 14px}.tile .name{color:var(--ink2);font-size:13px}
-.tile .value{font-size:25px;line-height:1.25;font-weight:650;white-space:nowrap}
-.tile .value small{font-size:14px;font-weight:500;color:var(--ink2)}
+.tile .value{font-size:25px;line-height:1.25;font-weight:650}
+.tile .value small{font-size:14px;font-weight:500;color:var(--ink2);white-space:nowrap}
 .tile .more{color:var(--muted);font-size:12.5px;line-height:1.4}
 section{padding:18px 20px;margin:0 0 20px;overflow:hidden}
 .pair{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(420px,100%),1fr));gap:18px 26px}
@@ -42,7 +42,7 @@ table{border-collapse:collapse;font-size:14px;min-width:50%}
 th,td{text-align:left;padding:5px 16px 5px 0;border-bottom:1px solid var(--grid);vertical-align:top}
 th{color:var(--ink2);font-weight:600;white-space:nowrap}
 td.n,th.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-td.wrap{overflow-wrap:anywhere}
+td.wrap{overflow-wrap:anywhere;min-width:110px}
 .bar{display:inline-block;height:9px;border-radius:0 3px 3px 0;background:var(--s0);min-width:1px}
 pre{background:var(--code);border-radius:6px;padding:12px 14px;overflow:auto;max-height:420px;font:12.5px/1.5
 ui-monospace,SFMono-Regular,Menlo,Consolas,monospace;margin:0}
@@ -57,6 +57,7 @@ footer{color:var(--muted);font-size:13px}
 svg text{font-family:inherit;fill:var(--ink2);font-size:12px}
 svg .tick{fill:var(--muted);font-size:11.5px;font-variant-numeric:tabular-nums}
 svg .grid{stroke:var(--grid);stroke-width:1}svg .axis{stroke:var(--axis);stroke-width:1}
+svg .ground{fill:#16191d}.pictured svg .grid{stroke:#fff;stroke-opacity:.12}
 svg polyline,svg line.l0,svg line.l1,svg line.l2,svg line.l3{fill:none;stroke-width:1.8;
 stroke-linejoin:round;stroke-linecap:round}
 svg .l0{stroke:var(--s0)}svg .l1{stroke:var(--s1)}svg .l2{stroke:var(--s2)}svg .l3{stroke:var(--s3)}

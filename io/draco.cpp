@@ -162,7 +162,7 @@ Expected<TriangleMesh> decode_draco(std::string_view bytes, DracoColours colours
         *out[c] = colours == DracoColours::linear16
                       ? linear_to_srgb8(value)
                       : static_cast<std::uint8_t>(
-                            std::lround(std::min(std::max(value, 0.0), 1.0) * 255.0));
+                            std::lround(value > 0 ? 255.0 * std::min(value, 1.0) : 0.0));
       }
     }
   }

@@ -122,7 +122,7 @@ std::optional<std::string_view> next_line(std::string_view& bytes) {
 std::uint8_t colour_byte(double value, Type type) {
   if (type == Type::f32 || type == Type::f64) value *= 255;
   if (type == Type::u16) value /= 257;
-  return static_cast<std::uint8_t>(std::lround(std::clamp(value, 0.0, 255.0)));
+  return value > 0 ? static_cast<std::uint8_t>(std::lround(std::min(value, 255.0))) : 0;
 }
 
 Expected<void> read_vertices(Body& body, const Element& element, TriangleMesh& mesh) {

@@ -360,6 +360,24 @@ TEST(RenderMesh, AxesFollowThePath) {
   }
 }
 
+TEST(RenderMesh, UpIsFoundForTiltedCamerasThatTurn) {
+  for (const double pitch : {0.0, 0.6, 1.0, 1.5707963}) {  // up to straight down
+    // World: the first camera's. True up there is -y turned up by the pitch.
+    const Eigen::AngleAxisd tilt(-pitch, Eigen::Vector3d::UnitX());
+    const Eigen::Vector3d up = tilt.inverse() * -Eigen::Vector3d::UnitY();
+    std::vector<Pose> poses;
+    for (int i = 0; i < 40; ++i) {
+      const Eigen::AngleAxisd yaw(0.02 * i, up);
+      const Eigen::AngleAxisd roll(0.01 * std::sin(2.0 * i), Eigen::Vector3d::UnitZ());
+      poses.emplace_back(Eigen::Quaterniond(yaw * roll), Eigen::Vector3d(0.1 * i, 0, 0));
+    }
+    const ViewAxes axes = guess_axes(poses);
+    EXPECT_GT(axes.up.dot(up), 0.999) << pitch;
+    EXPECT_LT((axes.right.cross(axes.forward) - axes.up).norm(), 1e-12);
+    EXPECT_EQ(axes.up_name, "up");
+  }
+}
+
 TEST(ReportPictures, DepthColoursAndHoles) {
   FloatImage depth(20, 10, 2.0f);
   for (int y = 0; y < 10; ++y) {
