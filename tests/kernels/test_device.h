@@ -11,13 +11,14 @@ namespace corvid {
 
 /// The device of these tests: $CORVID_TEST_DEVICE (as for --device), or the CPU.
 inline std::shared_ptr<Device> test_device() {
-  static const std::shared_ptr<Device> device = [] {
+  // Never destroyed: at the program's end the driver may be gone before it.
+  static const auto* const device = [] {
     const char* choice = std::getenv("CORVID_TEST_DEVICE");
     auto opened = Device::open(choice != nullptr ? choice : "cpu");
     if (!opened) throw std::runtime_error(opened.error().to_string());
-    return *opened;
+    return new std::shared_ptr<Device>(*opened);
   }();
-  return device;
+  return *device;
 }
 
 /// Makes a launcher, or fails the test with the reason.
