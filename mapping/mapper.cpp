@@ -26,6 +26,7 @@ constexpr double kRefuseMotion_vox = 0.5;   ///< of points at the median depth
 constexpr double kMinAnswered = 0.02;       ///< share of rays under which depth is no depth
 constexpr double kMinIsland = 5e-4;         ///< share of rays of the smallest island kept
 constexpr double kVoxelsPerDepth = 96;      ///< options.h: voxel_size
+constexpr double kRefitRatio = 2;           ///< of the voxel size wanted to the one there is
 constexpr int kRefinements = 2;
 constexpr std::size_t kImageBudget_bytes = 64UL << 20;
 
@@ -46,6 +47,8 @@ struct Entry {
   Camera lens;                            ///< that its image was undistorted with
   std::shared_ptr<const DepthMap> depth;  ///< null: tried or skipped
   double median_depth = 0;
+  /// Depth of the keyframe's landmarks when `depth` was estimated: its unit of length.
+  std::vector<std::pair<LandmarkId, double>> landmark_depths;
   std::optional<FusedView> fused;  ///< empty: not in the voxel map
 };
 
@@ -78,6 +81,7 @@ struct Mapper::Impl {
     if (map.keyframes.empty()) return false;
     const int segment = main_segment(map);
     if (!volume && !make_volume(map, segment, at_end)) return false;
+    refit_volume(segment);
     if (const auto index = next_keyframe(map, at_end)) {
       map_keyframe(map, *index, segment);
       return true;
@@ -93,7 +97,7 @@ struct Mapper::Impl {
         ->first;
   }
 
-  /// The voxel size must be known before anything is fused, and is fixed then.
+  /// The voxel size must be known before anything is fused.
   bool make_volume(const MapSnapshot& map, int segment, bool at_end) {
     double size = options.voxel_size;
     if (!(size > 0)) {
@@ -108,6 +112,30 @@ struct Mapper::Impl {
     }
     volume.emplace(size, options.max_blocks);
     return true;
+  }
+
+  /// A flight may start a hand's breadth over a table and go on into a hall: when the typical depth
+  /// has left the voxel size behind, the volume starts again with a fitting one, and follow_poses()
+  /// puts the depth maps back in, one by one.
+  void refit_volume(int segment) {
+    if (options.voxel_size > 0) return;
+    std::vector<double> medians;
+    for (const auto& [id, entry] : entries)
+      if (entry.depth && entry.segment == segment) medians.push_back(entry.median_depth);
+    if (medians.size() < 3) return;
+    const double size = median_of(std::move(medians)) / kVoxelsPerDepth;
+    const double ratio = size / volume->voxel_size();
+    if (ratio < kRefitRatio && ratio > 1 / kRefitRatio) return;
+    log().info("mapping: voxels of {:.4g} instead of {:.4g} map units", size, volume->voxel_size());
+    counts.dropped_blocks += volume->dropped_blocks();
+    volume.emplace(size, options.max_blocks);
+    for (auto& [id, entry] : entries) entry.fused.reset();
+    ++version;
+    if (sink)
+      for (const BlockIndex& index : shown)
+        sink->on_block({{index.x, index.y, index.z}, version, {}});
+    shown.clear();
+    ++counts.refits;
   }
 
   std::optional<std::size_t> next_keyframe(const MapSnapshot& map, bool at_end) const {
@@ -142,10 +170,50 @@ struct Mapper::Impl {
     entry.frame = keyframe.frame;
     entry.lens = lens_of(map, keyframe);
     entry.median_depth = scene->median;
+    entry.landmark_depths = landmark_depths(map, keyframe);
     last_mapped[keyframe.segment] = keyframe.id;
     depth_maps.push_back(depth);
     ++counts.depth_maps;
     if (keyframe.segment == segment) put_in(entry, keyframe.T_world_camera, map);
+  }
+
+  static std::vector<std::pair<LandmarkId, double>> landmark_depths(const MapSnapshot& map,
+                                                                    const Keyframe& keyframe) {
+    std::vector<std::pair<LandmarkId, double>> depths;
+    const Pose T_camera_world = keyframe.T_world_camera.inverse();
+    for (const Observation& o : keyframe.observations) {
+      const Landmark* landmark = map.find(o.landmark);
+      if (!landmark) continue;
+      const double z = (T_camera_world * landmark->p_world).z();
+      if (z > 0) depths.emplace_back(o.landmark, z);
+    }
+    return depths;
+  }
+
+  /// How much longer the keyframe's landmarks are away than when its depth was estimated: the scale
+  /// of a single camera's map may change as it is adjusted. 1 if too few of them are left.
+  static double scale_since(const Entry& entry, const MapSnapshot& map, const Keyframe& keyframe) {
+    constexpr std::size_t kLandmarks = 10;
+    std::vector<double> ratios;
+    const auto now = landmark_depths(map, keyframe);
+    auto then = entry.landmark_depths.begin();
+    for (const auto& [id, z] : now) {
+      while (then != entry.landmark_depths.end() && then->first < id) ++then;
+      if (then == entry.landmark_depths.end()) break;
+      if (then->first == id) ratios.push_back(z / then->second);
+    }
+    return ratios.size() < kLandmarks ? 1 : median_of(std::move(ratios));
+  }
+
+  void rescale(Entry& entry, double scale) {
+    auto scaled = std::make_shared<DepthMap>(*entry.depth);
+    for (std::size_t i = 0; i < scaled->depth.size(); ++i)
+      scaled->depth.data()[i] *= static_cast<float>(scale);
+    std::replace(depth_maps.begin(), depth_maps.end(), entry.depth,
+                 std::shared_ptr<const DepthMap>(scaled));
+    entry.depth = std::move(scaled);
+    entry.median_depth *= scale;
+    for (auto& [id, z] : entry.landmark_depths) z *= scale;
   }
 
   static Camera lens_of(const MapSnapshot& map, const Keyframe& keyframe) {
@@ -232,23 +300,26 @@ struct Mapper::Impl {
   bool follow_poses(const MapSnapshot& map, int segment) {
     Entry* worst = nullptr;
     const Keyframe* worst_keyframe = nullptr;
-    double worst_motion = kRefuseMotion_vox * volume->voxel_size();
+    double worst_motion = kRefuseMotion_vox * volume->voxel_size(), worst_scale = 1;
     for (auto& [id, entry] : entries) {
       if (!entry.depth) continue;
       const Keyframe* keyframe = find(map, id);
       const bool wanted = keyframe && keyframe->segment == segment;
+      const double scale = wanted ? scale_since(entry, map, *keyframe) : 1;
       double motion = 0;
       if (wanted != entry.fused.has_value()) {
         motion = std::numeric_limits<double>::infinity();
       } else if (wanted) {
         const Pose &now = keyframe->T_world_camera, &then = entry.fused->T_world_camera;
         motion = (now.translation() - then.translation()).norm() +
-                 rotation_between(now, then) * entry.median_depth;
+                 rotation_between(now, then) * entry.median_depth +
+                 std::abs(scale - 1) * entry.median_depth;
       }
       if (motion <= worst_motion) continue;
       worst = &entry;
       worst_keyframe = wanted ? keyframe : nullptr;
       worst_motion = motion;
+      worst_scale = scale;
     }
     if (!worst) return false;
     if (worst->fused) {
@@ -259,6 +330,7 @@ struct Mapper::Impl {
       counts.refusions += worst_keyframe != nullptr;
     }
     if (worst_keyframe) {
+      if (std::abs(worst_scale - 1) > 1e-3) rescale(*worst, worst_scale);
       put_in(*worst, worst_keyframe->T_world_camera, map);
     } else {
       show_changes();
@@ -330,7 +402,7 @@ MapperStatistics Mapper::statistics() const {
   MapperStatistics out = impl_->counts;
   if (impl_->volume) {
     out.blocks = impl_->volume->size();
-    out.dropped_blocks = impl_->volume->dropped_blocks();
+    out.dropped_blocks += impl_->volume->dropped_blocks();
   }
   if (out.depth_maps > 0) out.answered = impl_->answered_sum / static_cast<double>(out.depth_maps);
   return out;

@@ -18,6 +18,7 @@ struct MapperStatistics {
   std::uint64_t without_depth = 0;   ///< tried, but too few neighbours or answers
   std::uint64_t skipped = 0;         ///< too near to the keyframe mapped before
   std::uint64_t refusions = 0;       ///< keyframes taken out and put back in at a new pose
+  std::uint64_t refits = 0;          ///< times the volume started again with another voxel size
   std::uint64_t blocks = 0;          ///< voxel blocks in memory now
   std::uint64_t dropped_blocks = 0;  ///< voxel blocks dropped or not made, for the budget
   double answered = 0;               ///< mean share of rays with depth, of the depth maps
@@ -49,7 +50,9 @@ class Mapper {
   [[nodiscard]] TriangleMesh mesh() const;
   /// In the order of their estimation.
   [[nodiscard]] const std::vector<std::shared_ptr<const DepthMap>>& depth_maps() const;
-  /// [map units]; 0 until the first keyframes have shown how large the scene is.
+  /// [map units]; 0 until the first keyframes have shown how large the scene is. Without a fixed
+  /// options.voxel_size it follows the typical depth of the scene in steps of a factor of 2 or
+  /// more.
   [[nodiscard]] double voxel_size() const;
   [[nodiscard]] MapperStatistics statistics() const;
   /// How long the parts of the last step took: "images", "depth", "clean", "fuse", "mesh".

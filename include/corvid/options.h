@@ -48,7 +48,7 @@ struct MappingOptions {
   int template_px = 11;    ///< NCC template side, Gaussian weight sigma = side/6 (thesis 6.2)
   double min_score = 0.6;  ///< tau: a neighbour counts above it (thesis 6.4)
   int min_views = 2;       ///< neighbours that must agree (thesis 6.4)
-  double voxel_size = 0;   ///< [map units]; 0: median scene depth of the start / 96
+  double voxel_size = 0;   ///< [map units]; 0: median scene depth / 96
   int max_blocks = 60000;  ///< 8x8x8 voxel blocks kept; the farthest are dropped first
   [[nodiscard]] std::vector<std::string> validate() const;
 };

@@ -167,6 +167,44 @@ TEST(Mapper, TheSurfaceFollowsTheKeyframes) {
   EXPECT_LT(median_error_vox(mapper->mesh(), mapper->voxel_size()), 0.5);
 }
 
+MapSnapshot scaled(const MapSnapshot& map, double scale, std::size_t keyframes) {
+  MapSnapshot out = map;
+  out.keyframes.resize(keyframes);
+  for (auto& keyframe : out.keyframes) {
+    auto copy = std::make_shared<Keyframe>(*keyframe);
+    copy->T_world_camera =
+        Pose(keyframe->T_world_camera.rotation(), scale * keyframe->T_world_camera.translation());
+    keyframe = copy;
+  }
+  for (Landmark& landmark : out.landmarks) landmark.p_world *= scale;
+  return out;
+}
+
+TEST(Mapper, VoxelsAndDepthFollowTheScaleOfTheMap) {
+  // The first keyframes are mapped when the map is a tenth as large as it turns out to be.
+  Viewer viewer;
+  const auto mapper = make_mapper(&viewer);
+  const MapSnapshot small = scaled(room_map(), 0.1, 5);
+  while (mapper->step(small)) {
+  }
+  const double before = mapper->voxel_size();
+  ASSERT_GE(mapper->depth_maps().size(), 3U);
+  mapper->finish(room_map());
+  EXPECT_EQ(mapper->statistics().refits, 1U);
+  EXPECT_NEAR(mapper->voxel_size() / before, 10, 3);
+  const auto straight = make_mapper();
+  straight->finish(room_map());
+  const TriangleMesh mesh = mapper->mesh(), expected = straight->mesh();
+  EXPECT_NEAR(static_cast<double>(mesh.triangles.size()),
+              static_cast<double>(expected.triangles.size()), 0.5 * expected.triangles.size());
+  std::vector<double> distances;
+  for (const auto& v : mesh.vertices) distances.push_back(distance_to_room(v.cast<double>()));
+  std::nth_element(distances.begin(), distances.begin() + distances.size() / 2, distances.end());
+  EXPECT_LT(distances[distances.size() / 2], mapper->voxel_size());
+  EXPECT_GE(viewer.triangles(), mesh.triangles.size());  // border triangles are not shared
+  EXPECT_GT(viewer.removals, 0);
+}
+
 TEST(Mapper, KeyframesThatLeaveTheMapTakeTheirSurfaceAlong) {
   Viewer viewer;
   auto mapper = make_mapper(&viewer);
