@@ -205,10 +205,17 @@ Json end_json(const RunResult& result, const RunNumbers& n, const Truth& truth, 
   return json;
 }
 
-ExitCode judge(const RunResult& result, const std::string& source) {
-  if (result.interrupted) {
+// @param asked  a signal asked to stop; a run can also end early because its source or device
+// failed.
+ExitCode judge(const RunResult& result, const std::string& source, bool asked) {
+  if (result.interrupted && asked) {
     log().warn("interrupted: this is what there was until then");
     return ExitCode::interrupted;
+  }
+  if (result.interrupted) {
+    log().error("{}: {}", source,
+                result.notes.empty() ? "the run ended early" : result.notes.back());
+    return ExitCode::failure;
   }
   if (!result.trajectory.empty()) return ExitCode::ok;
   if (result.counts.delivered == 0) {
@@ -263,7 +270,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   }
 
   const SourceInfo& info = player.info();
-  const ExitCode code = judge(*result, info.kind + " " + info.path);
+  const ExitCode code =
+      judge(*result, info.kind + " " + info.path, signals.token().stop_requested());
   const RunNumbers numbers = count_run(*result);
   for (const std::string& line : summary(*result, numbers, truth, plan.out)) {
     if (plan.json) {

@@ -24,7 +24,7 @@ class SignalGuard {
   std::stop_source stop_;
   int read_fd_ = -1, write_fd_ = -1;
   struct sigaction old_int_ {
-  }, old_term_{};
+  }, old_term_{}, old_pipe_{};
   std::thread listener_;
 };
 
