@@ -123,7 +123,13 @@ struct Mapper::Impl {
     for (const auto& [id, entry] : entries)
       if (entry.depth && entry.segment == segment) medians.push_back(entry.median_depth);
     if (medians.size() < 3) return;
-    const double size = median_of(std::move(medians)) / kVoxelsPerDepth;
+    // The newest keyframes count on their own, too: voxels that are far too small for what is in
+    // view now would use up the budget long before most keyframes agree.
+    constexpr std::size_t kNewest = 5;
+    const std::size_t newest = std::min(kNewest, medians.size());
+    const double now =
+        median_of({medians.end() - static_cast<std::ptrdiff_t>(newest), medians.end()});
+    const double size = std::max(now, median_of(std::move(medians))) / kVoxelsPerDepth;
     const double ratio = size / volume->voxel_size();
     if (ratio < kRefitRatio && ratio > 1 / kRefitRatio) return;
     log().info("mapping: voxels of {:.4g} instead of {:.4g} map units", size, volume->voxel_size());
