@@ -72,6 +72,13 @@ std::string try_device(int index) {
 // @param cache  what examine_cache() found: PoCL gives no device where it cannot write its cache.
 void examine_opencl(const Finding& cache, Findings& findings) {
   constexpr const char* kInstall = "sudo apt-get install pocl-opencl-icd";
+  std::error_code ignored;
+  if (!fs::exists("/sys/devices/system/cpu", ignored)) {
+    findings.push_back({"opencl", Verdict::failure,
+                        "/sys is not mounted: PoCL ends the process without it",
+                        "mount -t sysfs sysfs /sys"});
+    return;
+  }
   auto devices = list_devices();
   if (!devices) {
     const bool by_cache =
