@@ -47,6 +47,7 @@ mount -t tmpfs tmpfs "$bare/dev/shm"
 
 step "packages in the bare root: $(chroot "$bare" dpkg-query -W | wc -l)"
 mkdir -p "$bare/root/corvid"
+find "$bare/root/corvid" -mindepth 1 -maxdepth 1 ! -name build -exec rm -rf {} +
 git -C "$root" archive HEAD | tar -x -C "$bare/root/corvid"
 step "tree: $(git -C "$root" rev-parse --short HEAD), $(find "$bare/root/corvid" -type f | wc -l) files"
 
