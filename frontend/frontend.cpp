@@ -242,7 +242,8 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
   const bool bounded = !similarity && at.size() >= 7 && at.size() >= tracks_.size() / 2;
   const int level = bounded ? 1 : std::min(3, current_->pyramid->levels() - 1);
   const int radius = bounded ? 5 : 8;
-  const auto candidates = search_.candidates(*current_->pyramid, queries, level, radius);
+  auto candidates = search_.candidates(*current_->pyramid, queries, level, radius);
+  remove_weak_corners(queries, level, candidates);
 
   MatchSets sets;
   for (std::size_t k = 0; k < missing.size(); ++k) {
@@ -291,6 +292,27 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
     track.warp = refined[k].warp;
     ++counts_.recovered;
   }
+}
+
+void Frontend::remove_weak_corners(std::span<const SearchQuery> queries, int level,
+                                   std::vector<std::vector<SearchCandidate>>& candidates) {
+  const double scale = std::ldexp(1.0, -level);
+  std::vector<Eigen::Vector2f> x_r, x_t;
+  for (std::size_t i = 0; i < queries.size(); ++i) {
+    x_r.emplace_back((queries[i].anchor_px * scale).cast<float>());
+    for (const SearchCandidate& candidate : candidates[i])
+      x_t.emplace_back((candidate.pixel * scale).cast<float>());
+  }
+  const auto score_r =
+      corners_.score_at(previous_->pyramid->level(level), x_r, options_.harris_kappa);
+  const auto score_t =
+      corners_.score_at(current_->pyramid->level(level), x_t, options_.harris_kappa);
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < queries.size(); ++i)
+    std::erase_if(candidates[i], [&](const SearchCandidate&) {
+      const float weak = score_t[next++].lambda_min;  // 0 at the border: nothing is known there
+      return weak > 0 && score_r[i].lambda_min > options_.corner_score_ratio * weak;
+    });
 }
 
 void Frontend::guide(std::vector<SearchCandidate>& found) {

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -73,6 +74,10 @@ class Frontend {
   /// Looks for the tracks that were not found, around where their found neighbours went.
   void recover(const Camera& camera, const ImageSimilarity* similarity,
                std::vector<SearchCandidate>& found);
+  /// Weak-corner removal (thesis 4.3): candidates whose corner score is under that of the template
+  /// divided by tau_c. All templates are of the last frame.
+  void remove_weak_corners(std::span<const SearchQuery> queries, int level,
+                           std::vector<std::vector<SearchCandidate>>& candidates);
   /// Re-searches what is missing with the affinity of the matched neighbours (stills).
   void guide(std::vector<SearchCandidate>& found);
   void reject_outliers(const Camera& camera, std::vector<SearchCandidate>& found);
