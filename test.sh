@@ -54,7 +54,7 @@ run_tests() {
 install_packages "${packages_build[@]}" "${packages_test[@]}"
 [[ $extra -eq 0 ]] || install_packages "${packages_extra[@]}"
 check_format
-build release -DCORVID_TESTS=ON
+build release -DCORVID_TESTS=ON -DCORVID_BENCH=ON
 # Results must not hang on the user's settings; the tests keep their kernel cache in the build tree.
 export LC_ALL=C.UTF-8 XDG_CACHE_HOME="$root/build/test-cache"
 unset CORVID_DEVICE CORVID_KERNEL_DIR

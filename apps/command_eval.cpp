@@ -52,7 +52,9 @@ Expected<Trajectory> read_truth(const Arguments& arguments, const TrajectoryRead
 }
 
 Json statistics_json(const Statistics& s) {
-  return {{"rmse", s.rmse}, {"mean", s.mean}, {"median", s.median}, {"p90", s.p90}, {"max", s.max}};
+  if (s.count == 0) return nullptr;
+  return {{"count", s.count},   {"rmse", s.rmse}, {"mean", s.mean},
+          {"median", s.median}, {"p90", s.p90},   {"max", s.max}};
 }
 
 void print_json(const Arguments& arguments, const TrajectoryErrors& e, std::ostream& out) {
@@ -79,6 +81,10 @@ void print_json(const Arguments& arguments, const TrajectoryErrors& e, std::ostr
 
 void print_text(const Arguments& arguments, const TrajectoryErrors& e, std::ostream& out) {
   const auto row = [&out](std::string_view name, const Statistics& s, std::string_view unit) {
+    if (s.count == 0) {
+      out << fmt::format("{:<16} none: the trajectory is too short for it\n", name);
+      return;
+    }
     out << fmt::format("{:<16} {:>10.4f} {:>10.4f} {:>10.4f} {:>10.4f} {:>10.4f}  {}\n", name,
                        s.rmse, s.mean, s.median, s.p90, s.max, unit);
   };
@@ -128,9 +134,12 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
                                                  : AlignmentMode::none;
   const TrajectoryErrors errors = evaluate(*estimate, *truth, options);
   if (!errors.problem.empty()) {
-    return fail(ErrorCode::unsupported, errors.problem,
-                fmt::format("{} against {}", estimate_path.string(), arguments.truth),
-                "times must be in the same clock; --max-dt widens what counts as the same time");
+    return fail(
+        ErrorCode::unsupported, errors.problem,
+        fmt::format("{} against {}", estimate_path.string(), arguments.truth),
+        errors.matched > 0
+            ? ""
+            : "times must be in the same clock; --max-dt widens what counts as the same time");
   }
   if (arguments.json) {
     print_json(arguments, errors, context.out);

@@ -8,6 +8,7 @@
 
 #include "apps/command_list.h"
 #include "apps/run_folder.h"
+#include "io/atomic_file.h"
 #include "io/mesh_files.h"
 
 namespace corvid {
@@ -31,6 +32,20 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   if (mesh->empty()) {
     return fail(ErrorCode::not_found, "the run made no mesh", arguments.run,
                 "it was flown with --no-mapping, or saw too little to map; its report says more");
+  }
+  if (arguments.format == "drc" || arguments.format == "glb") {  // the run's own, byte for byte
+    const auto own = folder / ("mesh." + arguments.format);
+    const auto bytes = read_file_bytes(own);
+    if (!bytes) return tl::unexpected(bytes.error());
+    const auto out = arguments.out.empty() ? own : std::filesystem::path(arguments.out);
+    std::error_code ignored;
+    if (!std::filesystem::equivalent(own, out, ignored)) {
+      if (auto written = write_file_atomically(out, *bytes); !written) {
+        return tl::unexpected(written.error());
+      }
+    }
+    context.out << out.string() << '\n';
+    return ExitCode::ok;
   }
   const auto format = mesh_format_from_name(arguments.format);
   const std::string name =

@@ -176,7 +176,9 @@ Statistics statistics(std::vector<double> values) {
 std::vector<PosePair> associate(const Trajectory& estimate, const Trajectory& truth,
                                 double max_time_difference_s) {
   std::vector<PosePair> pairs;
-  const auto max_ns = static_cast<std::int64_t>(std::llround(max_time_difference_s * 1e9));
+  constexpr double kLongest_s = 4e9;  // over a century; nanoseconds still fit into 63 bits
+  const auto max_ns =
+      static_cast<std::int64_t>(std::llround(std::min(max_time_difference_s, kLongest_s) * 1e9));
   constexpr std::size_t kNone = static_cast<std::size_t>(-1);
   std::size_t last_used = kNone;  // the true pose of the last pair, if it was not interpolated
   for (std::size_t i = 0; i < estimate.size(); ++i) {

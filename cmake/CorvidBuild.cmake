@@ -101,6 +101,12 @@ function(corvid_tests name)
   target_link_libraries(${name}_tests PRIVATE ${TESTS_DEPENDS} corvid_flags GTest::gtest GTest::gmock
                         GTest::gtest_main)
   target_compile_definitions(${name}_tests PRIVATE CORVID_SOURCE_DIR="${PROJECT_SOURCE_DIR}")
-  gtest_discover_tests(${name}_tests TEST_PREFIX "${name}." DISCOVERY_MODE PRE_TEST
-                       PROPERTIES LABELS "${TESTS_LABELS}" TIMEOUT ${TESTS_TIMEOUT})
+  gtest_discover_tests(${name}_tests TEST_PREFIX "${name}." DISCOVERY_MODE PRE_TEST)
+  # Discovery cannot pass a list on: labels and time limit are set when ctest has read the tests.
+  set(properties "${CMAKE_CURRENT_BINARY_DIR}/${name}_properties.cmake")
+  file(WRITE "${properties}" "foreach(test IN LISTS ${name}_tests_TESTS)
+  set_tests_properties(\"\${test}\" PROPERTIES LABELS \"${TESTS_LABELS}\" TIMEOUT ${TESTS_TIMEOUT})
+endforeach()
+")
+  set_property(DIRECTORY APPEND PROPERTY TEST_INCLUDE_FILES "${properties}")
 endfunction()

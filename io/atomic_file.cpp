@@ -119,8 +119,14 @@ Expected<void> check_replaceable(const fs::path& final_path, std::string_view ma
 }  // namespace
 
 Expected<std::string> read_file_bytes(const fs::path& path) {
-  const Descriptor d{::open(path.c_str(), O_RDONLY | O_CLOEXEC)};
+  const Descriptor d{::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK)};
   if (d.fd < 0) return io_fault("cannot be opened", path, errno);
+  struct stat status {};
+  if (::fstat(d.fd, &status) != 0) return io_fault("cannot be examined", path, errno);
+  if (S_ISDIR(status.st_mode)) return io_fault("cannot be read", path, EISDIR);
+  if (!S_ISREG(status.st_mode)) {  // a pipe would block, a device might never end
+    return fail(ErrorCode::unsupported, "is not a regular file", path.string());
+  }
   std::string bytes;
   std::error_code ec;
   const std::uintmax_t size = fs::file_size(path, ec);

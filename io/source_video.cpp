@@ -198,10 +198,14 @@ Expected<FramePtr> VideoSource::next(const std::stop_token& stop) {
       const std::int64_t index = position_++;
       if (index < options_.first || (index - options_.first) % options_.step != 0) continue;
       ++taken_;
-      const std::int64_t time = container_times_
-                                    ? container_time_ns()
-                                    : static_cast<std::int64_t>(std::llround(
-                                          static_cast<double>(index) * 1e9 / *options_.rate_hz));
+      std::int64_t time = container_times_
+                              ? container_time_ns()
+                              : static_cast<std::int64_t>(std::llround(static_cast<double>(index) *
+                                                                       1e9 / *options_.rate_hz));
+      // The last frames of a stream with B-frames come out of the decoder without a time (0).
+      if (container_times_ && time == 0 && last_time_ns_ && info_.rate_hz > 0) {
+        time = *last_time_ns_ + std::llround(1e9 / info_.rate_hz);
+      }
       if (last_time_ns_ && time <= *last_time_ns_) {
         skip(fmt::format("{}: frame {}: its time {} ns does not follow {} ns", info_.path, index,
                          time, *last_time_ns_));

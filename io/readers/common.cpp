@@ -26,7 +26,11 @@ std::vector<std::string> names_in(const fs::path& folder, bool folders) {
   std::error_code error;
   for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
     std::error_code ignored;
-    if (fs::is_directory(it->status(ignored)) == folders) {
+    const fs::file_status status = it->status(ignored);
+    // Pipes and devices would block or never end; a link to nothing is reported where it is read.
+    const bool wanted =
+        folders ? fs::is_directory(status) : fs::is_regular_file(status) || !fs::exists(status);
+    if (wanted) {
       names.push_back(it->path().filename().string());
     }
   }

@@ -31,7 +31,9 @@ std::optional<Times> times_from_names(const std::vector<ImageEntry>& entries) {
     std::optional<std::int64_t> time;
     if (stem.size() == 13 || stem.size() == 16 || stem.size() == 19) {
       time = to_integer(stem);
-      for (std::size_t digits = stem.size(); time && digits < 19; digits += 3) *time *= 1000;
+      for (std::size_t digits = stem.size(); time && digits < 19; digits += 3) {
+        if (__builtin_mul_overflow(*time, std::int64_t{1000}, &*time)) time.reset();
+      }
     }
     if (!time && stem.find('.') != std::string::npos && stem.find_first_of("eE") == stem.npos) {
       time = seconds_to_ns(stem);
