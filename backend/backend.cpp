@@ -215,7 +215,8 @@ void Backend::Impl::add_lost(const FrameTracks& tracks, std::string reason, Pose
   event->reason = std::move(reason);
   event->keyframe = false;
   starter.hold(tracks);  // so that a new segment can begin where this one ended
-  const bool none_left = sight(tracks).points.empty();
+  // A frame without any track says nothing: the frontend keeps its tracks through a dark moment.
+  const bool none_left = !tracks.observations.empty() && sight(tracks).points.empty();
   if (!none_left && lost_frames <= kMaxLostFrames) return;
   ++segment;
   mode = Mode::starting;

@@ -120,6 +120,8 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   }
 
   ceres::Solver::Options solver;
+  // Eigen: Debian's SuiteSparse has parts under the GPL.
+  solver.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
   solver.linear_solver_type = free_poses <= kDenseLimit ? ceres::DENSE_SCHUR : ceres::SPARSE_SCHUR;
   solver.linear_solver_ordering = ordering;
   solver.max_num_iterations = settings.max_iterations;

@@ -68,7 +68,7 @@ std::vector<std::string> FrontendOptions::validate() const {
   p.in("corner_quality", corner_quality, 0.0, 1.0);
   p.in("harris_kappa", harris_kappa, 0.0, 0.25);  // 0.25: no structure tensor scores above zero
   p.template_side("template_px", template_px);
-  p.in("min_score", min_score, -1.0, 1.0);
+  p.in("min_score", min_score, 0.01, 1.0);
   p.in("peak_quality", peak_quality, 0.0, 1.0);
   p.above_one("ratio_highest_scores", ratio_highest_scores);
   p.positive("max_epipolar_px", max_epipolar_px);
@@ -97,7 +97,7 @@ std::vector<std::string> MappingOptions::validate() const {
   p.in("depth_samples", depth_samples, 8, 4096);
   p.in("depth_scale", depth_scale, 1, 16);
   p.template_side("template_px", template_px);
-  p.in("min_score", min_score, 0.0, 1.0);
+  p.in("min_score", min_score, 0.01, 0.99);
   p.at_least("min_views", min_views, 1);
   if (min_views > neighbours) {
     p.add("min_views",

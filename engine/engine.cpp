@@ -3,7 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
-#include <atomic>
+#include <algorithm>
 #include <exception>
 #include <opencv2/core/utility.hpp>
 #include <thread>
@@ -86,7 +86,7 @@ struct Engine::Impl {
 
     std::optional<Error> run_inline(const std::stop_token& stop);
     std::optional<Error> run_threads(const std::stop_token& stop);
-    void finish(bool interrupted);
+    void finish(bool interrupted, const std::stop_token& stop);
   };
 };
 
@@ -155,7 +155,7 @@ std::optional<Error> Engine::Impl::Run::run_inline(const std::stop_token& stop) 
     const TimedTracks tracks{track(*frame), entered_ns};
     estimate(tracks);
     if (mapper && tracks.tracks.keyframe)
-      while (map_once(*map.get())) {
+      while (!stop.stop_requested() && map_once(*map.get())) {
       }
   }
   return std::nullopt;
@@ -225,7 +225,7 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
   return source_error;
 }
 
-void Engine::Impl::Run::finish(bool interrupted) {
+void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
   Stopwatch watch;
   if (!interrupted) {
     backend->finish();
@@ -236,12 +236,19 @@ void Engine::Impl::Run::finish(bool interrupted) {
   if (mapper) {
     if (!interrupted) {
       log().info("mapping: finishing what is left of {} keyframes", result.map->keyframes.size());
-      mapper->finish(*result.map);
+      mapper->finish(*result.map, stop);
       metrics.add("mapping/finish", watch.lap_ms());
+      interrupted = stop.stop_requested();
     }
     result.mesh = mapper->mesh();
     result.voxel_size = mapper->voxel_size();
-    for (const auto& depth_map : mapper->depth_maps()) result.depth_maps.push_back(*depth_map);
+    for (const auto& depth_map : mapper->depth_maps()) {
+      result.depth_maps.push_back(*depth_map);
+      // The depth was estimated at an earlier pose; what is handed out fits the final map.
+      for (const auto& keyframe : result.map->keyframes)
+        if (keyframe->id == depth_map->keyframe)
+          result.depth_maps.back().T_world_camera = keyframe->T_world_camera;
+    }
     const MapperStatistics statistics = mapper->statistics();
     result.notes.push_back(fmt::format(
         "Mapping: {} depth maps ({:.0f} % of the rays answered), {} keyframes without an "
@@ -257,6 +264,7 @@ void Engine::Impl::Run::finish(bool interrupted) {
   const std::uint64_t dropped = result.counts.dropped;
   result.counts = source.counts();
   result.counts.dropped += dropped;
+  result.counts.delivered -= std::min(result.counts.delivered, dropped);  // never reached a stage
   result.interrupted = interrupted;
   result.stages = metrics.summary();
   result.peak_memory_bytes = peak_memory_bytes();
@@ -288,12 +296,11 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
   try {
     // A paced source needs a thread of its own: frames come whether the engine is ready or not.
     error = impl_->threads == 1 && !info.paced ? run.run_inline(stop) : run.run_threads(stop);
-    run.finish(stop.stop_requested() || error.has_value());
+    run.finish(stop.stop_requested() || error.has_value(), stop);
   } catch (const DeviceFault& fault) {
     error = Error{ErrorCode::device, fault.what(), impl_->device->info().name,
                   "run `corvid doctor`; `--device cpu` uses the processor instead"};
-    run.mapper.reset();
-    run.finish(true);
+    run.finish(true, stop);  // what was mapped before lies on the host and is kept
   }
   if (error) {
     if (run.result.trajectory.empty()) return tl::unexpected(*error);

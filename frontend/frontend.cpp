@@ -95,7 +95,6 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
   timings_.clear();
   Stopwatch watch;
   ++frame_count_;
-  ++frames_since_keyframe_;
   const int width = frame->grey.width(), height = frame->grey.height();
   auto anchor = std::make_shared<Anchor>();
   anchor->pyramid = pyramids_.build(frame->grey, level_count(width, height), Lane::tracking);
@@ -152,13 +151,14 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
       counts_.ended = counts_.before;
       reset();
     } else {
+      const double gap = misses_ + 1;  // frames since the tracks were seen
       misses_ = 0;
       std::vector<Track> alive;
       alive.reserve(tracks_.size());
       for (std::size_t i = 0; i < tracks_.size(); ++i) {
         if (found[i].score <= 0) continue;
         Track& track = tracks_[i];
-        track.velocity_px = found[i].pixel - track.pixel;
+        track.velocity_px = (found[i].pixel - track.pixel) / gap;
         track.pixel = found[i].pixel;
         result.observations.push_back(
             {track.id, found[i].pixel, found[i].score, found[i].sigma_px});
@@ -240,7 +240,7 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
     queries.push_back(query);
   }
   const bool bounded = !similarity && at.size() >= 7 && at.size() >= tracks_.size() / 2;
-  const int level = bounded ? 1 : std::min(3, current_->pyramid->levels() - 1);
+  const int level = std::min(bounded ? 1 : 3, current_->pyramid->levels() - 1);
   const int radius = bounded ? 5 : 8;
   auto candidates = search_.candidates(*current_->pyramid, queries, level, radius);
   remove_weak_corners(queries, level, candidates);
@@ -441,7 +441,6 @@ void Frontend::make_keyframe(const Frame& frame) {
     ++counts_.added;
   }
   keyframe_tracks_ = tracks_.size();
-  frames_since_keyframe_ = 0;
 }
 
 void Frontend::reset() {

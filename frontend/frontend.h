@@ -96,8 +96,7 @@ class Frontend {
   std::shared_ptr<const Anchor> previous_;  ///< the last frame in which the tracks were found
   std::shared_ptr<const Anchor> current_;
   std::size_t keyframe_tracks_ = 0;  ///< alive at the last keyframe
-  int frames_since_keyframe_ = 0;
-  int misses_ = 0;  ///< frames in a row in which nearly nothing was found
+  int misses_ = 0;                   ///< frames in a row in which nearly nothing was found
   std::uint32_t next_track_ = 0;
   std::uint64_t frame_count_ = 0;
   FrontendCounts counts_;

@@ -27,6 +27,7 @@ constexpr double kMinAnswered = 0.02;       ///< share of rays under which depth
 constexpr double kMinIsland = 5e-4;         ///< share of rays of the smallest island kept
 constexpr double kVoxelsPerDepth = 96;      ///< options.h: voxel_size
 constexpr double kRefitRatio = 2;           ///< of the voxel size wanted to the one there is
+constexpr double kMinRescale = 1e-3;        ///< smaller changes of a depth map's scale are noise
 constexpr int kRefinements = 2;
 constexpr std::size_t kImageBudget_bytes = 64UL << 20;
 
@@ -254,6 +255,16 @@ struct Mapper::Impl {
     if (std::min(depth->camera.width_px, depth->camera.height_px) < options.template_px) {
       return nullptr;
     }
+    // The kernels count the elements of their volumes in 32 bits.
+    const double elements = (depth->camera.width_px + 64.0) * (depth->camera.height_px + 32.0) *
+                            std::max(options.depth_samples, 24 * options.neighbours);
+    if (elements > 2e9) {
+      log().warn(
+          "keyframe {}: no depth: {:.0f} elements are too many for one sweep; raise "
+          "mapping.depth_scale",
+          keyframe.id.value, elements);
+      return nullptr;
+    }
     const double near = scene.near / kRangeMargin, far = scene.far * kRangeMargin;
     ViewChoiceOptions choice;
     choice.neighbours = options.neighbours;
@@ -311,7 +322,8 @@ struct Mapper::Impl {
       if (!entry.depth) continue;
       const Keyframe* keyframe = find(map, id);
       const bool wanted = keyframe && keyframe->segment == segment;
-      const double scale = wanted ? scale_since(entry, map, *keyframe) : 1;
+      double scale = wanted ? scale_since(entry, map, *keyframe) : 1;
+      if (std::abs(scale - 1) < kMinRescale) scale = 1;
       double motion = 0;
       if (wanted != entry.fused.has_value()) {
         motion = std::numeric_limits<double>::infinity();
@@ -336,7 +348,7 @@ struct Mapper::Impl {
       counts.refusions += worst_keyframe != nullptr;
     }
     if (worst_keyframe) {
-      if (std::abs(worst_scale - 1) > 1e-3) rescale(*worst, worst_scale);
+      if (worst_scale != 1) rescale(*worst, worst_scale);
       put_in(*worst, worst_keyframe->T_world_camera, map);
     } else {
       show_changes();
@@ -389,8 +401,8 @@ Mapper::~Mapper() = default;
 
 bool Mapper::step(const MapSnapshot& map) { return impl_->work(map, false); }
 
-void Mapper::finish(const MapSnapshot& map) {
-  while (impl_->work(map, true)) {
+void Mapper::finish(const MapSnapshot& map, const std::stop_token& stop) {
+  while (!stop.stop_requested() && impl_->work(map, true)) {
   }
 }
 

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <stop_token>
 #include <vector>
 
 #include "core/stopwatch.h"
@@ -43,8 +44,9 @@ class Mapper {
   /// re-fuses one that moved; false if there was nothing to do. A keyframe's turn comes when two
   /// newer ones of its segment are there to compare it with.
   bool step(const MapSnapshot& map);
-  /// All that is left, also the last keyframes, which have no newer neighbours.
-  void finish(const MapSnapshot& map);
+  /// All that is left, also the last keyframes, which have no newer neighbours; or what can be done
+  /// of it until asked to stop.
+  void finish(const MapSnapshot& map, const std::stop_token& stop = {});
 
   /// The whole surface, vertices on the borders of blocks welded.
   [[nodiscard]] TriangleMesh mesh() const;

@@ -20,7 +20,8 @@ struct EngineSinks {
 /// The whole engine: a source goes in; poses, a map and a mesh come out.
 ///
 /// options.threads == 1 runs every stage inline on the caller's thread, so that results repeat
-/// bit for bit; otherwise frontend, backend and mapping have a thread each.
+/// bit for bit; otherwise, and always for a paced source, frontend, backend and mapping have a
+/// thread each.
 class Engine {
  public:
   /// Opens the OpenCL device and builds the kernels. Fails with the list of wrong options, or with
@@ -29,7 +30,7 @@ class Engine {
   ~Engine();
 
   /// Runs the source to its end, or until asked to stop: then what there is comes back, marked as
-  /// interrupted. An error means that the source failed before its first frame.
+  /// interrupted. An error means that the source or the device failed before any frame had a pose.
   [[nodiscard]] Expected<RunResult> run(FrameSource& source, const EngineSinks& sinks = {},
                                         const std::stop_token& stop = {});
 

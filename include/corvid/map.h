@@ -68,7 +68,7 @@ struct MapSnapshot {
 struct DepthMap {
   KeyframeId keyframe;
   Camera camera;
-  Pose T_world_camera;    ///< at the time of the estimate
+  Pose T_world_camera;    ///< at the time of the estimate; of the final map in a RunResult
   FloatImage depth;       ///< z in camera coordinates [map units]; 0 = no answer
   FloatImage confidence;  ///< fused correlation score in [0, 1]; 0 = no answer
 };
