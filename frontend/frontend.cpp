@@ -284,14 +284,18 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
     }
   const auto matches = search_.track(*current_->pyramid, refined, {std::max(0, level - 1), 3, 2});
   for (std::size_t k = 0; k < slots.size(); ++k) {
-    if (matches[k].score < options_.min_score) continue;
-    Track& track = tracks_[slots[k]];
-    found[slots[k]] = matches[k];
-    track.anchor = previous_;
-    track.anchor_px = track.pixel;
-    track.warp = refined[k].warp;
-    ++counts_.recovered;
+    if (accept_recovered(tracks_[slots[k]], refined[k], matches[k])) found[slots[k]] = matches[k];
   }
+}
+
+bool Frontend::accept_recovered(Track& track, const SearchQuery& query,
+                                const SearchCandidate& match) {
+  if (match.score < options_.min_score) return false;
+  track.anchor = previous_;
+  track.anchor_px = track.pixel;
+  track.warp = query.warp;
+  ++counts_.recovered;
+  return true;
 }
 
 void Frontend::remove_weak_corners(std::span<const SearchQuery> queries, int level,
@@ -352,13 +356,7 @@ void Frontend::guide(std::vector<SearchCandidate>& found) {
     }
     const auto matches = search_.track(*current_->pyramid, queries, {2, 4, 2});
     for (std::size_t k = 0; k < slots.size(); ++k) {
-      if (matches[k].score < options_.min_score) continue;
-      Track& track = tracks_[slots[k]];
-      found[slots[k]] = matches[k];
-      track.anchor = previous_;
-      track.anchor_px = track.pixel;
-      track.warp = queries[k].warp;
-      ++counts_.recovered;
+      if (accept_recovered(tracks_[slots[k]], queries[k], matches[k])) found[slots[k]] = matches[k];
     }
   }
 }

@@ -74,6 +74,8 @@ class Frontend {
   /// Looks for the tracks that were not found, around where their found neighbours went.
   void recover(const Camera& camera, const ImageSimilarity* similarity,
                std::vector<SearchCandidate>& found);
+  /// A match of a template of the last frame: if it is good, the track is anchored there.
+  bool accept_recovered(Track& track, const SearchQuery& query, const SearchCandidate& match);
   /// Weak-corner removal (thesis 4.3): candidates whose corner score is under that of the template
   /// divided by tau_c. All templates are of the last frame.
   void remove_weak_corners(std::span<const SearchQuery> queries, int level,

@@ -46,13 +46,13 @@ mkdir -p "$bare/dev/shm"
 mount -t tmpfs tmpfs "$bare/dev/shm"
 
 step "packages in the bare root: $(chroot "$bare" dpkg-query -W | wc -l)"
-mkdir -p "$bare/root/corvid"
-find "$bare/root/corvid" -mindepth 1 -maxdepth 1 ! -name build -exec rm -rf {} +
-git -C "$root" archive HEAD | tar -x -C "$bare/root/corvid"
-step "tree: $(git -C "$root" rev-parse --short HEAD), $(find "$bare/root/corvid" -type f | wc -l) files"
+mkdir -p "$bare/srv/corvid"
+find "$bare/srv/corvid" -mindepth 1 -maxdepth 1 ! -name build -exec rm -rf {} +
+git -C "$root" archive HEAD | tar -x -C "$bare/srv/corvid"
+step "tree: $(git -C "$root" rev-parse --short HEAD), $(find "$bare/srv/corvid" -type f | wc -l) files"
 
 status=0
 env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin TERM=dumb \
-  chroot "$bare" bash -c "cd /root/corvid && ${command[*]}" || status=$?
+  chroot "$bare" bash -c "cd /srv/corvid && ${command[*]}" || status=$?
 step "exit status in the bare root: $status"
 exit "$status"
