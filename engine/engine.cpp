@@ -13,9 +13,11 @@
 #include "core/clock.h"
 #include "core/log.h"
 #include "core/stopwatch.h"
+#include "engine/gate.h"
 #include "engine/latest.h"
 #include "engine/metrics.h"
 #include "engine/queue.h"
+#include "engine/queue_brake.h"
 #include "frontend/frontend.h"
 #include "kernels/device.h"
 #include "mapping/mapper.h"
@@ -26,10 +28,12 @@ namespace {
 struct TimedFrame {
   FramePtr frame;
   std::int64_t entered_ns = 0;
+  Gate::Turn turn{};  ///< ends with the frame's pose, or when it is dropped
 };
 struct TimedTracks {
   FrameTracks tracks;
   std::int64_t entered_ns = 0;
+  Gate::Turn turn{};
 };
 
 /// The backend's newest state for the frontend. Rejected tracks of states that the frontend never
@@ -70,6 +74,7 @@ struct Engine::Impl {
     Impl& engine;
     FrameSource& source;
     EngineSinks sinks;
+    Gate& gate;
     std::unique_ptr<Frontend> frontend;
     std::unique_ptr<Backend> backend;
     std::unique_ptr<Mapper> mapper;  // null if mapping is off
@@ -173,6 +178,7 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
   std::stop_source halt;
   const std::stop_callback forward(stop, [&] { halt.request_stop(); });
   const std::stop_token halted = halt.get_token();
+  const std::stop_callback open_gate(halted, [&] { gate.open(); });
   // A stage that throws stops the others; the first exception comes out below.
   const auto guarded = [&](auto&& stage) {
     try {
@@ -193,7 +199,10 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
             source_error = frame.error();
             break;
           }
-          if (!*frame || !frames.push({std::move(*frame), clock.now_ns()}, halted)) break;
+          if (!*frame) break;
+          TimedFrame timed{std::move(*frame), clock.now_ns()};
+          if (live && mapper) timed.turn = gate.enter();
+          if (!frames.push(std::move(timed), halted)) break;
         }
       });
       frames.close();
@@ -201,7 +210,9 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
     std::jthread frontend_stage([&] {
       guarded([&] {
         while (auto timed = frames.pop(halted))
-          if (!tracks.push({track(timed->frame), timed->entered_ns}, halted)) break;
+          if (!tracks.push({track(timed->frame), timed->entered_ns, std::move(timed->turn)},
+                           halted))
+            break;
       });
       tracks.close();
     });
@@ -276,17 +287,21 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
   cv::setNumThreads(impl_->threads);
   auto frontend = Frontend::create(impl_->device, impl_->options.frontend, info.stills);
   if (!frontend) return tl::unexpected(frontend.error());
+  // In a paced run tracking goes before mapping, on the device and on the host.
+  QueueBrake brake(impl_->device, Lane::mapping);
+  Gate gate(&brake);
   std::unique_ptr<Mapper> mapper;
   if (impl_->options.mapping.enabled) {
-    auto created = Mapper::create(impl_->device, impl_->options.mapping, sinks.mesh);
+    auto created =
+        Mapper::create(impl_->device, impl_->options.mapping, sinks.mesh, [&gate] { gate.wait(); });
     if (!created) return tl::unexpected(created.error());
     mapper = std::move(*created);
   }
   auto backend = std::make_unique<Backend>(
       impl_->options.backend, info.intrinsics != IntrinsicsOrigin::calibration, impl_->threads);
   Impl::Run run{
-      *impl_, source, sinks, std::move(*frontend), std::move(backend), std::move(mapper), {}, {},
-      {},     {},     {}};
+      *impl_, source, sinks, gate, std::move(*frontend), std::move(backend), std::move(mapper), {},
+      {},     {},     {},    {}};
   run.result.options = impl_->options;
   run.result.device = impl_->device->info().name;
   run.result.source = info;

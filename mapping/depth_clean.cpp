@@ -54,10 +54,14 @@ void weaken_ambiguous(DepthMap& map, const FloatImage& lead) {
   }
 }
 
-int remove_contradicted(DepthMap& map, std::span<const DepthWitness> witnesses, double tolerance) {
+int remove_contradicted(DepthMap& map, std::span<const DepthWitness> witnesses, double tolerance,
+                        const SliceEnd& slice_end) {
   if (witnesses.empty()) return 0;
+  constexpr int kSliceRows = 16;
+  Slicer rows(slice_end, kSliceRows);
   int removed = 0;
   for (int y = 0; y < map.depth.height(); ++y) {
+    rows.piece();
     for (int x = 0; x < map.depth.width(); ++x) {
       const double z = map.depth(x, y);
       if (!(z > 0)) continue;

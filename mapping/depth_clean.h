@@ -3,6 +3,7 @@
 #include <span>
 
 #include "corvid/map.h"
+#include "mapping/slices.h"
 
 namespace corvid {
 
@@ -20,9 +21,10 @@ struct DepthWitness {
 /// Takes away answers that lie in front of what witnesses see along the same ray (they see through
 /// the point) and that no witness confirms within `tolerance` (relative). Points that a witness
 /// cannot see or that lie behind its surface are not judged by it.
+/// @param slice_end  called after every few rows.
 /// @return how many were taken away.
 int remove_contradicted(DepthMap& map, std::span<const DepthWitness> witnesses,
-                        double tolerance = 0.02);
+                        double tolerance = 0.02, const SliceEnd& slice_end = {});
 
 /// Takes away islands of fewer than `min_rays` answers; 4-neighbours belong together if their
 /// depths differ by less than `max_jump` (relative).

@@ -24,6 +24,7 @@ constexpr double kSkipRotation_rad = 0.09;  ///< about 5 degrees
 constexpr double kRangeMargin = 1.5;        ///< beyond the landmarks' depths, either way
 constexpr double kRefuseMotion_vox = 0.5;   ///< of points at the median depth
 constexpr double kMinAnswered = 0.02;       ///< share of rays under which depth is no depth
+constexpr double kWitnessTolerance = 0.02;  ///< relative
 constexpr double kMinIsland = 5e-4;         ///< share of rays of the smallest island kept
 constexpr double kVoxelsPerDepth = 96;      ///< options.h: voxel_size
 constexpr double kRefitRatio = 2;           ///< of the voxel size wanted to the one there is
@@ -56,15 +57,17 @@ struct Entry {
 }  // namespace
 
 struct Mapper::Impl {
-  Impl(std::shared_ptr<Device> device, const MappingOptions& o, MeshSink* s, DepthSweeper&& sweep,
-       Warper&& warper)
+  Impl(std::shared_ptr<Device> device, const MappingOptions& o, MeshSink* s, SliceEnd end,
+       DepthSweeper&& sweep, Warper&& warper)
       : options(o),
         sink(s),
+        slice_end(std::move(end)),
         sweeper(std::move(sweep)),
         images(std::move(device), std::move(warper), o.depth_scale, kImageBudget_bytes) {}
 
   MappingOptions options;
   MeshSink* sink;
+  SliceEnd slice_end;
   DepthSweeper sweeper;
   ViewImages images;
   std::optional<VoxelBlocks> volume;
@@ -90,6 +93,10 @@ struct Mapper::Impl {
     return follow_poses(map, segment);
   }
 
+  void end_slice() const {
+    if (slice_end) slice_end();
+  }
+
   static int main_segment(const MapSnapshot& map) {
     std::map<int, int> sizes;
     for (const auto& keyframe : map.keyframes) ++sizes[keyframe->segment];
@@ -111,7 +118,7 @@ struct Mapper::Impl {
       if (medians.empty() || (medians.size() < kKeyframes && !at_end)) return false;
       size = median_of(medians) / kVoxelsPerDepth;
     }
-    volume.emplace(size, options.max_blocks);
+    volume.emplace(size, options.max_blocks, slice_end);
     return true;
   }
 
@@ -135,7 +142,7 @@ struct Mapper::Impl {
     if (ratio < kRefitRatio && ratio > 1 / kRefitRatio) return;
     log().info("mapping: voxels of {:.4g} instead of {:.4g} map units", size, volume->voxel_size());
     counts.dropped_blocks += volume->dropped_blocks();
-    volume.emplace(size, options.max_blocks);
+    volume.emplace(size, options.max_blocks, slice_end);
     for (auto& [id, entry] : entries) entry.fused.reset();
     ++version;
     if (sink)
@@ -279,6 +286,7 @@ struct Mapper::Impl {
     std::vector<DepthWitness> witnesses;
     for (const Neighbour& n : chosen) {
       const Keyframe& other = *map.keyframes[n.index];
+      end_slice();
       const auto image = images.sweep_image(other, lens, sweeper);
       if (!image) continue;
       held.push_back(image);
@@ -298,8 +306,10 @@ struct Mapper::Impl {
     depth->confidence = std::move(result.confidence);
     timings.emplace_back("depth", watch.lap_ms());
 
+    end_slice();
     weaken_ambiguous(*depth, result.lead);
-    remove_contradicted(*depth, witnesses);
+    remove_contradicted(*depth, witnesses, kWitnessTolerance, slice_end);
+    end_slice();
     const auto rays = static_cast<double>(depth->depth.size());
     remove_speckles(*depth, static_cast<int>(kMinIsland * rays));
     const double answered = static_cast<double>(std::count_if(
@@ -318,8 +328,11 @@ struct Mapper::Impl {
     Entry* worst = nullptr;
     const Keyframe* worst_keyframe = nullptr;
     double worst_motion = kRefuseMotion_vox * volume->voxel_size(), worst_scale = 1;
+    constexpr int kSliceEntries = 8;
+    Slicer looks(slice_end, kSliceEntries);
     for (auto& [id, entry] : entries) {
       if (!entry.depth) continue;
+      looks.piece();
       const Keyframe* keyframe = find(map, id);
       const bool wanted = keyframe && keyframe->segment == segment;
       double scale = wanted ? scale_since(entry, map, *keyframe) : 1;
@@ -340,6 +353,7 @@ struct Mapper::Impl {
       worst_scale = scale;
     }
     if (!worst) return false;
+    end_slice();
     if (worst->fused) {
       Stopwatch watch;
       volume->unfuse(*worst->fused, *worst->depth, images.colours(*worst->frame, worst->lens));
@@ -357,6 +371,7 @@ struct Mapper::Impl {
   }
 
   void put_in(Entry& entry, const Pose& T_world_camera, const MapSnapshot& map) {
+    end_slice();
     Stopwatch watch;
     const Eigen::Vector3d p_newest = map.keyframes.back()->T_world_camera.translation();
     entry.fused = volume->fuse(*entry.depth, images.colours(*entry.frame, entry.lens),
@@ -370,7 +385,10 @@ struct Mapper::Impl {
     if (!sink || changed.empty()) return;
     Stopwatch watch;
     ++version;
+    constexpr int kSliceBlocks = 16;
+    Slicer meshed(slice_end, kSliceBlocks);
     for (const BlockIndex& index : blocks_to_remesh(changed)) {
+      meshed.piece();
       MeshBlock block{{index.x, index.y, index.z}, version, mesh_block(*volume, index)};
       if (block.mesh.empty() ? shown.erase(index) == 0 : (shown.insert(index), false)) continue;
       sink->on_block(block);
@@ -380,7 +398,8 @@ struct Mapper::Impl {
 };
 
 Expected<std::unique_ptr<Mapper>> Mapper::create(std::shared_ptr<Device> device,
-                                                 const MappingOptions& options, MeshSink* sink) {
+                                                 const MappingOptions& options, MeshSink* sink,
+                                                 SliceEnd slice_end) {
   if (const auto problems = options.validate(); !problems.empty()) {
     return fail(ErrorCode::invalid_argument, problems.front(), "mapping options");
   }
@@ -392,8 +411,9 @@ Expected<std::unique_ptr<Mapper>> Mapper::create(std::shared_ptr<Device> device,
   if (!sweeper) return tl::unexpected(sweeper.error());
   auto warper = Warper::create(device);
   if (!warper) return tl::unexpected(warper.error());
-  return std::unique_ptr<Mapper>(new Mapper(std::make_unique<Impl>(
-      std::move(device), options, sink, std::move(*sweeper), std::move(*warper))));
+  return std::unique_ptr<Mapper>(
+      new Mapper(std::make_unique<Impl>(std::move(device), options, sink, std::move(slice_end),
+                                        std::move(*sweeper), std::move(*warper))));
 }
 
 Mapper::Mapper(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}

@@ -11,6 +11,7 @@
 #include "corvid/options.h"
 #include "corvid/ports.h"
 #include "kernels/device.h"
+#include "mapping/slices.h"
 
 namespace corvid {
 
@@ -34,10 +35,13 @@ struct MapperStatistics {
 class Mapper {
  public:
   /// @param sink  gets the mesh of every changed block; may be null; outlives the mapper.
+  /// @param slice_end  called every few milliseconds of work on the host. The device's work is in
+  ///        Lane::mapping, in launches that are short each. Changes no result.
   /// Fails if an option is wrong or the kernels do not build.
   [[nodiscard]] static Expected<std::unique_ptr<Mapper>> create(std::shared_ptr<Device> device,
                                                                 const MappingOptions& options,
-                                                                MeshSink* sink);
+                                                                MeshSink* sink,
+                                                                SliceEnd slice_end = {});
   ~Mapper();
 
   /// Does one unit of work against the newest map: estimates one keyframe's depth and fuses it, or

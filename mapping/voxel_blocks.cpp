@@ -11,6 +11,8 @@ namespace corvid {
 namespace {
 
 constexpr int kSide = VoxelBlock::kSide;
+// Pieces of work in a slice of about two milliseconds.
+constexpr int kSliceRows = 16, kSliceBlocks = 128, kSliceNewBlocks = 512, kSliceLooks = 20000;
 
 /// Per-ray weight in [0, kMaxWeight]: confidence times cosine of the viewing angle, less for depths
 /// beyond `full_weight_depth`. 0 where there is no depth.
@@ -147,8 +149,10 @@ BlockIndex block_of(const Eigen::Vector3d& p_world, double block_size, double ha
 
 }  // namespace
 
-VoxelBlocks::VoxelBlocks(double voxel_size, int max_blocks)
-    : voxel_size_(voxel_size), max_blocks_(static_cast<std::size_t>(std::max(1, max_blocks))) {
+VoxelBlocks::VoxelBlocks(double voxel_size, int max_blocks, SliceEnd slice_end)
+    : voxel_size_(voxel_size),
+      max_blocks_(static_cast<std::size_t>(std::max(1, max_blocks))),
+      slice_end_(std::move(slice_end)) {
   CORVID_CHECK(voxel_size > 0 && std::isfinite(voxel_size), "voxel size must be positive");
 }
 
@@ -160,7 +164,9 @@ std::vector<BlockIndex> VoxelBlocks::blocks_on_surface(const DepthMap& map,
   const double block_size = kSide * voxel_size_;
   std::unordered_set<BlockIndex, BlockIndexHash> found;
   BlockIndex last{std::numeric_limits<int>::min(), 0, 0};
+  Slicer rows(slice_end_, kSliceRows);
   for (int y = 0; y < map.depth.height(); ++y) {
+    rows.piece();
     for (int x = 0; x < map.depth.width(); ++x) {
       const double d = map.depth(x, y);
       if (!(d > 0) || d > max_depth) continue;
@@ -201,11 +207,14 @@ FusedView VoxelBlocks::fuse(const DepthMap& map, const ColourImage& colour,
   const float deepest =
       map.depth.empty() ? 0
                         : *std::max_element(map.depth.data(), map.depth.data() + map.depth.size());
+  Slicer looks(slice_end_, kSliceLooks), written(slice_end_, kSliceBlocks);
   for (auto it = blocks_.begin(); it != blocks_.end();) {
     VoxelBlock& block = *it->second;
     Said said;
+    looks.piece();
     if (may_be_seen(it->first, map.camera, T_camera_world, deepest)) {
       said = integrate(projector, T_camera_world, it->first, block, 1);
+      written.piece();
     }
     if (block.surface_views == 0) {  // was made for this view, which then had no surface in it
       it = blocks_.erase(it);
@@ -225,7 +234,9 @@ void VoxelBlocks::unfuse(const FusedView& view, const DepthMap& map, const Colou
   const FloatImage weights = ray_weights(map, kFullWeightVoxels * voxel_size_);
   const Pose T_camera_world = view.T_world_camera.inverse();
   const Projector projector(map, weights, colour, T_camera_world, voxel_size_, truncation());
+  Slicer written(slice_end_, kSliceBlocks);
   for (const auto& [index, serial] : view.blocks) {
+    written.piece();
     const auto it = blocks_.find(index);
     if (it == blocks_.end() || it->second->serial != serial) continue;
     integrate(projector, T_camera_world, index, *it->second, -1);
@@ -277,7 +288,9 @@ void VoxelBlocks::make_blocks(const std::vector<BlockIndex>& wanted,
     dropped_ += leave_out.size();
     std::erase_if(missing, [&](const BlockIndex& b) { return leave_out.contains(b); });
   }
+  Slicer made(slice_end_, kSliceNewBlocks);
   for (const BlockIndex& b : missing) {
+    made.piece();
     auto& block = blocks_[b];
     block = std::make_unique<VoxelBlock>();
     block->serial = next_serial_++;

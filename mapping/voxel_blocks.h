@@ -14,6 +14,7 @@
 #include "corvid/image.h"
 #include "corvid/map.h"
 #include "corvid/pose.h"
+#include "mapping/slices.h"
 
 namespace corvid {
 
@@ -83,7 +84,8 @@ class VoxelBlocks {
 
   /// @param voxel_size  side of a voxel [map units], > 0.
   /// @param max_blocks  budget (about 12 KB each); never exceeded.
-  VoxelBlocks(double voxel_size, int max_blocks);
+  /// @param slice_end   called now and then by fuse() and unfuse().
+  VoxelBlocks(double voxel_size, int max_blocks, SliceEnd slice_end = {});
 
   /// Adds a depth map, seen from `T_world_camera` (not from depth_map.T_world_camera). Where the
   /// budget is spent, the blocks farthest from `p_keep` (the newest camera) are dropped or not
@@ -119,6 +121,7 @@ class VoxelBlocks {
 
   double voxel_size_;
   std::size_t max_blocks_;
+  SliceEnd slice_end_;
   std::uint64_t next_serial_ = 1;
   std::uint64_t dropped_ = 0;
   std::unordered_map<BlockIndex, std::unique_ptr<VoxelBlock>, BlockIndexHash> blocks_;

@@ -2,8 +2,11 @@
 
 #include <gtest/gtest.h>
 
-#include <atomic>
+#include <algorithm>
 #include <cmath>
+#include <condition_variable>
+#include <cstdio>
+#include <mutex>
 #include <thread>
 
 #include "core/alignment.h"
@@ -135,6 +138,55 @@ TEST(Engine, APacedSourceIsDroppedFromNotWaitedFor) {
   EXPECT_GT(result.counts.dropped, 0U);
 }
 
+/// A paced source that always has the next frame ready before the last one's pose is out, so that
+/// tracking never rests; it learns of the poses as a sink.
+class Restless final : public FrameSource, public PoseSink {
+ public:
+  explicit Restless(std::size_t frames) : frames_(frames), info_(frames_.info()) {
+    info_.paced = true;
+  }
+  const SourceInfo& info() const override { return info_; }
+  Expected<FramePtr> next(const std::stop_token& stop) override {
+    std::unique_lock lock(mutex_);
+    posed_.wait(lock, stop, [&] { return given_ < poses_ + 2; });
+    ++given_;
+    return frames_.next(stop);
+  }
+  SourceCounts counts() const override { return frames_.counts(); }
+  void on_pose(const PoseEvent&) override {
+    const std::lock_guard lock(mutex_);
+    ++poses_;
+    posed_.notify_all();
+  }
+
+ private:
+  Rendered frames_;
+  SourceInfo info_;
+  std::mutex mutex_;
+  std::condition_variable_any posed_;
+  std::size_t given_ = 0, poses_ = 0;
+};
+
+TEST(Engine, MappingThatYieldsToTrackingStillMapsEveryKeyframe) {
+  Restless source(60);
+  const RunResult result = run(source, fast_options(2), {&source, nullptr});
+  EXPECT_EQ(result.counts.dropped, 0U);
+  EXPECT_EQ(result.events.size(), 60U);
+  EXPECT_GT(result.mesh.triangles.size(), 500U);
+  const auto note = std::find_if(result.notes.begin(), result.notes.end(),
+                                 [](const std::string& n) { return n.starts_with("Mapping: "); });
+  ASSERT_NE(note, result.notes.end());
+  int depth_maps = 0, share = 0, without = 0, near = 0;
+  ASSERT_EQ(std::sscanf(note->c_str(),
+                        "Mapping: %d depth maps (%d %% of the rays answered), %d keyframes without "
+                        "an answer, %d too near",
+                        &depth_maps, &share, &without, &near),
+            4)
+      << *note;
+  EXPECT_GT(depth_maps, 2);
+  EXPECT_EQ(static_cast<std::size_t>(depth_maps + without + near), result.map->keyframes.size());
+}
+
 TEST(Engine, AStopKeepsWhatThereIs) {
   for (const int threads : {1, 2}) {
     SyntheticFlight flight(short_flight(30));
@@ -153,6 +205,24 @@ TEST(Engine, AStopKeepsWhatThereIs) {
     EXPECT_GE(result.trajectory.size(), 20U);
     EXPECT_LE(result.events.size(), 30U);
   }
+}
+
+TEST(Engine, AStopIsHeardWhileMappingIsHeld) {
+  Restless source(60);
+  std::stop_source stop;
+  struct Stopper final : PoseSink {
+    Restless& source;
+    std::stop_source& stop;
+    int left = 35;
+    Stopper(Restless& f, std::stop_source& s) : source(f), stop(s) {}
+    void on_pose(const PoseEvent& event) override {
+      if (--left == 0) stop.request_stop();
+      source.on_pose(event);
+    }
+  } stopper(source, stop);
+  const RunResult result = run(source, fast_options(2), {&stopper, nullptr}, stop.get_token());
+  EXPECT_TRUE(result.interrupted);
+  EXPECT_LE(result.events.size(), 40U);
 }
 
 /// Gives some frames of a flight, then fails or throws.
