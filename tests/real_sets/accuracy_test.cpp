@@ -1,0 +1,83 @@
+// How well the cameras of real recordings are found, end to end, without mapping. The limits are
+// what the engine is meant to reach, not what it happens to reach (docs/results.md has those).
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <iostream>
+#include <map>
+#include <optional>
+
+#include "apps/evaluation.h"
+#include "apps/report_numbers.h"
+#include "corvid/engine.h"
+#include "io/source.h"
+
+namespace corvid {
+namespace {
+
+struct Flown {
+  RunResult result;
+  RunNumbers numbers;
+  Trajectory truth;
+};
+
+/// Nothing where the set is not on this machine.
+std::optional<Flown> fly(const std::string& name) {
+  const auto folder = std::filesystem::path(CORVID_SOURCE_DIR) / ".." / "shared" / "data" / name;
+  if (!std::filesystem::exists(folder)) return std::nullopt;
+  auto source = open_source(folder.string());
+  if (!source) throw std::runtime_error(source.error().to_string());
+  Options options;
+  options.mapping.enabled = false;
+  auto engine = Engine::create(options);
+  if (!engine) throw std::runtime_error(engine.error().to_string());
+  auto result = (*engine)->run(**source);
+  if (!result) throw std::runtime_error(result.error().to_string());
+  const RunNumbers numbers = count_run(*result);
+  return Flown{std::move(*result), numbers, (*source)->truth()};
+}
+
+#define FLY_OR_SKIP(flown, name) \
+  const auto flown = fly(name);  \
+  if (!flown) GTEST_SKIP() << "the real image sets (../shared/data) are absent: " << (name)
+
+double ate_m(const Flown& flown) {
+  const TrajectoryErrors errors = evaluate(flown.result.trajectory, flown.truth);
+  EXPECT_EQ(errors.problem, "");
+  std::cout << "  ATE " << errors.position_m.rmse << " m over " << errors.path_length_m << " m, "
+            << flown.numbers.poses << " poses, " << flown.numbers.untracked_after_start
+            << " untracked after the start, " << flown.numbers.segments << " segments\n";
+  EXPECT_EQ(errors.matched, flown.result.trajectory.size());
+  return errors.position_m.rmse;
+}
+
+TEST(Accuracy, Euroc) {
+  FLY_OR_SKIP(flown, "euroc_mh05_a");
+  EXPECT_LE(ate_m(*flown), 0.10);
+  EXPECT_EQ(flown->numbers.untracked_after_start, 0U);
+  EXPECT_GE(flown->numbers.poses, 285U) << "it starts within the first frames";
+}
+
+TEST(Accuracy, Kitti) {
+  FLY_OR_SKIP(flown, "kitti07");
+  EXPECT_LE(ate_m(*flown), 1.5);
+  EXPECT_EQ(flown->numbers.untracked_after_start, 0U);
+  EXPECT_GE(flown->numbers.poses, 150U);
+}
+
+TEST(Accuracy, AerialPhotographsWithNothingButTheirExif) {
+  FLY_OR_SKIP(flown, "aerial_caliterra_a");
+  EXPECT_EQ(flown->result.source.intrinsics, IntrinsicsOrigin::exif);
+  std::map<int, int> images;  // by segment; every photograph with a pose is a keyframe
+  for (const auto& keyframe : flown->result.map->keyframes) ++images[keyframe->segment];
+  int most = 0;
+  for (const auto& [segment, count] : images) most = std::max(most, count);
+  std::cout << "  " << most << " of " << flown->numbers.delivered << " images in one segment of "
+            << images.size() << "\n";
+  EXPECT_EQ(flown->numbers.delivered, 45U);
+  EXPECT_GE(most, 40);
+}
+
+}  // namespace
+}  // namespace corvid
