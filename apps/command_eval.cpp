@@ -9,6 +9,7 @@
 
 #include "apps/command_list.h"
 #include "apps/evaluation.h"
+#include "apps/option_checks.h"
 #include "apps/program_source.h"
 #include "apps/progress.h"
 #include "core/log.h"
@@ -28,16 +29,25 @@ struct Arguments {
   bool json = false;
 };
 
+// The trajectory of a run's folder, or the file itself.
+fs::path trajectory_of(const std::string& name) {
+  std::error_code ignored;
+  const fs::path inside = fs::path(name) / "trajectory.txt";
+  return fs::is_directory(name, ignored) && fs::is_regular_file(inside, ignored) ? inside
+                                                                                 : fs::path(name);
+}
+
 Expected<Trajectory> read_truth(const Arguments& arguments, const TrajectoryReadOptions& reading) {
   std::error_code ignored;
-  if (fs::is_regular_file(arguments.truth, ignored)) {
-    if (fs::path(arguments.truth).extension() == ".csv") {
+  const fs::path file = trajectory_of(arguments.truth);
+  if (fs::is_regular_file(file, ignored)) {
+    if (file.extension() == ".csv") {
       log().info(
           "{}: the body's poses, if it is EuRoC's; name the sequence's folder to compare "
           "with the camera's",
           arguments.truth);
     }
-    return read_trajectory(arguments.truth, reading);
+    return read_trajectory(file.string(), reading);
   }
   SourceArguments source;
   source.spec = arguments.truth;
@@ -119,10 +129,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   TrajectoryReadOptions reading;
   reading.times_path = arguments.times;
   reading.rate_hz = arguments.rate_hz;
-  std::error_code ignored;
-  const fs::path estimate_path = fs::is_directory(arguments.estimate, ignored)
-                                     ? fs::path(arguments.estimate) / "trajectory.txt"
-                                     : fs::path(arguments.estimate);
+  const fs::path estimate_path = trajectory_of(arguments.estimate);
   const auto estimate = read_trajectory(estimate_path.string(), reading);
   if (!estimate) return tl::unexpected(estimate.error());
   const auto truth = read_truth(arguments, reading);
@@ -156,7 +163,9 @@ Action add_eval_command(CLI::App& app) {
   CLI::App* command = app.add_subcommand("eval", "Compare a trajectory with the truth");
   command->add_option("ESTIMATE", a->estimate, "Trajectory (TUM, KITTI, EuRoC), or a run's folder")
       ->required();
-  command->add_option("TRUTH", a->truth, "Trajectory, or a source that knows its truth")
+  command
+      ->add_option("TRUTH", a->truth,
+                   "Trajectory, a run's folder, or a source that knows its truth")
       ->required();
   command->add_option("--align", a->align, "sim3, se3 or none")
       ->check(CLI::IsMember({"sim3", "se3", "none"}))
@@ -164,19 +173,20 @@ Action add_eval_command(CLI::App& app) {
   command
       ->add_option("--max-dt", a->options.max_time_difference_s,
                    "Largest difference of times that still match [s]")
-      ->check(CLI::NonNegativeNumber)
+      ->check(at_least(0))
       ->capture_default_str();
   command->add_option("--delta", a->options.rpe_delta_frames, "Poses apart, for the RPE")
-      ->check(CLI::PositiveNumber)
+      ->check(at_least(1))
       ->capture_default_str();
   command->add_option("--times", a->times, "One time per row, for KITTI files");
   command->add_option("--frame-rate", a->rate_hz, "Rate of KITTI rows without times [Hz]")
-      ->check(CLI::PositiveNumber)
+      ->check(above(0))
       ->capture_default_str();
   command->add_flag("--json", a->json, "One JSON object on the standard output");
   command->footer(R"(
 Examples:
   corvid eval run ~/data/MH_05
+  corvid eval run other-run                   one run against another
   corvid eval run/trajectory.txt truth.txt --align se3 --max-dt 0.02
 )");
   return [a](Context& context) { return run(*a, context); };

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "apps/option_checks.h"
 #include "io/nearest_name.h"
 #include "replay/synthetic_flight.h"
 
@@ -147,13 +148,12 @@ void SourceArguments::add_to(CLI::App& command) {
   command
       .add_option("--frame-rate", options.rate_hz,
                   "Frame rate [Hz], instead of the source's own times")
-      ->check(CLI::PositiveNumber);
-  command.add_option("--first", options.first, "Images left out at the start")
-      ->check(CLI::NonNegativeNumber);
-  command.add_option("--count", options.count, "Images taken at most")->check(CLI::PositiveNumber);
-  command.add_option("--step", options.step, "Every N-th image is taken")
-      ->check(CLI::PositiveNumber);
-  command.add_flag("--grey{false}", options.colour, "Do not keep the images' colour");
+      ->check(above(0));
+  command.add_option("--first", options.first, "Images left out at the start")->check(at_least(0));
+  command.add_option("--count", options.count, "Images taken at most")->check(at_least(1));
+  command.add_option("--step", options.step, "Every N-th image is taken")->check(at_least(1));
+  command.add_flag_callback(
+      "--grey", [this] { options.colour = false; }, "Do not keep the images' colour");
 }
 
 Expected<std::unique_ptr<FrameSource>> SourceArguments::open() const {
@@ -179,6 +179,8 @@ std::string_view to_string(IntrinsicsOrigin origin) {
       return "calibration";
     case IntrinsicsOrigin::exif:
       return "EXIF";
+    case IntrinsicsOrigin::nominal:
+      return "nominal values";
     case IntrinsicsOrigin::guess:
       return "guess";
   }

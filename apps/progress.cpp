@@ -22,7 +22,13 @@ Talk* talk() {
   return nullptr;
 }
 
-Json camera_json(const Camera& camera) {
+}  // namespace
+
+void write_json_line(std::ostream& out, const Json& json) {
+  out << json.dump(-1, ' ', false, Json::error_handler_t::replace) << std::endl;
+}
+
+Json to_json(const Camera& camera) {
   return {{"model", to_string(camera.model)},
           {"width_px", camera.width_px},
           {"height_px", camera.height_px},
@@ -33,12 +39,6 @@ Json camera_json(const Camera& camera) {
           {"distortion", camera.distortion}};
 }
 
-}  // namespace
-
-void write_json_line(std::ostream& out, const Json& json) {
-  out << json.dump(-1, ' ', false, Json::error_handler_t::replace) << std::endl;
-}
-
 Json to_json(const SourceInfo& info) {
   Json json = {{"kind", info.kind}, {"path", info.path}};
   json["frames"] = info.frames ? Json(*info.frames) : Json();
@@ -46,7 +46,7 @@ Json to_json(const SourceInfo& info) {
   json["stills"] = info.stills;
   json["paced"] = info.paced;
   json["colour"] = info.colour;
-  json["camera"] = info.camera ? camera_json(*info.camera) : Json();
+  json["camera"] = info.camera ? to_json(*info.camera) : Json();
   json["intrinsics"] = to_string(info.intrinsics);
   json["has_depth"] = info.has_depth;
   json["notes"] = info.notes;

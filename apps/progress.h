@@ -16,6 +16,7 @@ namespace corvid {
 
 /// The program's only way to write JSON: one line, invalid UTF-8 (file names) replaced.
 void write_json_line(std::ostream& out, const nlohmann::ordered_json& json);
+[[nodiscard]] nlohmann::ordered_json to_json(const Camera& camera);
 [[nodiscard]] nlohmann::ordered_json to_json(const SourceInfo& info);
 [[nodiscard]] nlohmann::ordered_json to_json(const SourceCounts& counts);
 [[nodiscard]] nlohmann::ordered_json to_json(const PoseEvent& event);

@@ -109,6 +109,7 @@ std::string run_section(const ReportFacts& facts) {
   if (const Camera* camera = source.camera.get()) {
     const char* origin = source.intrinsics == IntrinsicsOrigin::calibration ? "calibrated"
                          : source.intrinsics == IntrinsicsOrigin::exif      ? "from EXIF"
+                         : source.intrinsics == IntrinsicsOrigin::nominal   ? "nominal"
                                                                             : "guessed";
     add("camera",
         fmt::format("{} × {} px, {}, fx {} fy {} cx {} cy {} px, {}", camera->width_px,

@@ -1,6 +1,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "apps/progress.h"
 #include "apps/report.h"
 #include "io/options_file.h"
 
@@ -19,23 +20,14 @@ Json of(const Statistics& s) {
           {"median", s.median}, {"p90", s.p90},   {"max", s.max}};
 }
 
-Json of(const Camera& camera) {
-  return {{"model", to_string(camera.model)},
-          {"width_px", camera.width_px},
-          {"height_px", camera.height_px},
-          {"fx_px", camera.fx_px},
-          {"fy_px", camera.fy_px},
-          {"cx_px", camera.cx_px},
-          {"cy_px", camera.cy_px},
-          {"distortion", camera.distortion}};
-}
-
 const char* name_of(IntrinsicsOrigin origin) {
   switch (origin) {
     case IntrinsicsOrigin::calibration:
       return "calibration";
     case IntrinsicsOrigin::exif:
       return "exif";
+    case IntrinsicsOrigin::nominal:
+      return "nominal";
     case IntrinsicsOrigin::guess:
       return "guess";
   }
@@ -53,7 +45,7 @@ Json source_of(const SourceInfo& source) {
               {"camera", nullptr},
               {"intrinsics", name_of(source.intrinsics)}};
   if (source.frames) out["frames"] = *source.frames;
-  if (source.camera) out["camera"] = of(*source.camera);
+  if (source.camera) out["camera"] = to_json(*source.camera);
   out["notes"] = source.notes;
   return out;
 }
@@ -135,7 +127,7 @@ std::string report_json(const ReportFacts& facts) {
                 {"observations", n.observations},
                 {"segments", n.segments},
                 {"camera", nullptr}};
-  if (result.map && result.map->camera) out["map"]["camera"] = of(*result.map->camera);
+  if (result.map && result.map->camera) out["map"]["camera"] = to_json(*result.map->camera);
   out["depth"] = {
       {"maps", n.depth_maps}, {"coverage", n.depth_coverage}, {"confidence", n.depth_confidence}};
   out["mesh"] = {{"vertices", n.vertices},

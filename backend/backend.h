@@ -23,7 +23,7 @@ namespace corvid {
 class Backend {
  public:
   /// @param refine_intrinsics  estimate focal length and k1, k2 too: for cameras whose intrinsics
-  ///        come from EXIF or are a guess.
+  ///        come from EXIF, are nominal or a guess.
   /// @param threads  of the window adjustment; 0: as many as the machine has cores.
   Backend(const BackendOptions& options, bool refine_intrinsics, int threads);
   ~Backend();

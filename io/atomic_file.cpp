@@ -49,8 +49,31 @@ fs::path parent_of(const fs::path& path) {
 Expected<void> make_parent(const fs::path& path) {
   std::error_code ec;
   fs::create_directories(parent_of(path), ec);
+  if (ec == std::errc::not_a_directory || ec == std::errc::file_exists) {
+    return fail(ErrorCode::invalid_argument, "is or lies below a file, where a folder must be",
+                parent_of(path).string(), "choose another output folder");
+  }
   if (ec) return io_fault("folder cannot be made", parent_of(path), ec.value());
   return {};
+}
+
+/// The path that a chain of symbolic links ends at, there or not; refuses what is no file.
+Expected<fs::path> file_behind(fs::path path) {
+  constexpr int kMaxLinks = 40;  // as the kernel
+  std::error_code ec;
+  const fs::file_status status = fs::status(path, ec);
+  if (fs::exists(status) && !fs::is_regular_file(status)) {
+    return fail(ErrorCode::invalid_argument,
+                fs::is_directory(status) ? "is a folder" : "is not a regular file", path.string(),
+                "name a file to write");
+  }
+  for (int i = 0; fs::is_symlink(path, ec); ++i) {
+    const fs::path target = fs::read_symlink(path, ec);
+    if (ec || i == kMaxLinks)
+      return io_fault("link cannot be followed", path, ec ? ec.value() : ELOOP);
+    path = parent_of(path) / target;
+  }
+  return path;
 }
 
 Expected<void> write_all(int fd, std::string_view bytes, const fs::path& path) {
@@ -141,10 +164,14 @@ Expected<std::string> read_file_bytes(const fs::path& path) {
   }
 }
 
-Expected<void> write_file_atomically(const fs::path& path, std::string_view bytes) {
-  if (path.filename().empty()) {
-    return fail(ErrorCode::invalid_argument, "is not a file name", path.string());
+Expected<void> write_file_atomically(const fs::path& name, std::string_view bytes) {
+  if (name.filename().empty()) {
+    return fail(ErrorCode::invalid_argument,
+                name.empty() ? "the file's name is empty" : "is not a file name", name.string());
   }
+  const auto behind = file_behind(name);
+  if (!behind) return tl::unexpected(behind.error());
+  const fs::path& path = *behind;
   if (auto ok = make_parent(path); !ok) return ok;
   // mkostemp picks a name that no other writer has, in the same folder: rename stays atomic.
   std::string temporary = path.string() + ".partial-XXXXXX";
@@ -184,6 +211,10 @@ AtomicFolder::~AtomicFolder() {
 }
 
 Expected<AtomicFolder> AtomicFolder::create(const fs::path& final_path, std::string_view marker) {
+  if (final_path.empty()) {
+    return fail(ErrorCode::invalid_argument, "the output folder's name is empty", "",
+                "name a folder to write");
+  }
   std::error_code ec;
   fs::path target = fs::absolute(final_path, ec).lexically_normal();
   if (ec) return io_fault("is not a usable path", final_path, ec.value());

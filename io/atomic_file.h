@@ -13,6 +13,9 @@ namespace corvid {
 
 /// Writes `bytes` under a temporary name beside `path`, syncs it to the disk and renames it: under
 /// the final name there is the old file or the whole new one, never a part. Makes parent folders.
+/// Writes through symbolic links: the file that they name is replaced, the links stay.
+/// Errors: invalid_argument if `path` is a folder, device, pipe or socket, or lies below a file;
+/// io.
 [[nodiscard]] Expected<void> write_file_atomically(const std::filesystem::path& path,
                                                    std::string_view bytes);
 
@@ -26,7 +29,8 @@ class AtomicFolder {
   /// @param marker  file name by which a folder is known to be ours: an existing `final` is
   /// replaced
   ///                only if it is an empty folder or holds this file.
-  /// Errors: invalid_argument if `final` holds somebody else's things, io.
+  /// Errors: invalid_argument if `final` is empty, no folder, lies below a file or holds somebody
+  /// else's things; io.
   [[nodiscard]] static Expected<AtomicFolder> create(const std::filesystem::path& final_path,
                                                      std::string_view marker);
   AtomicFolder(AtomicFolder&& other) noexcept;

@@ -178,7 +178,15 @@ FramePtr VideoSource::make_frame(const cv::Mat& image, std::int64_t time_ns) {
 void VideoSource::report_missing_end() {
   const bool to_the_end = options_.count < 0 || taken_ < options_.count;
   if (to_the_end && position_ + 2 < promised_) {
-    counts_.skipped += static_cast<std::uint64_t>(promised_ - position_);
+    // Only frames that the options would have let through are missed.
+    const auto let_through = [&](std::int64_t frames) {
+      const std::int64_t after = std::max<std::int64_t>(0, frames - options_.first);
+      return (after + options_.step - 1) / options_.step;
+    };
+    std::int64_t missing = let_through(promised_) - let_through(position_);
+    if (options_.count >= 0) missing = std::min<std::int64_t>(missing, options_.count - taken_);
+    if (missing <= 0) return;
+    counts_.skipped += static_cast<std::uint64_t>(missing);
     if (counts_.messages.size() < kMaxMessages) {
       counts_.messages.push_back(fmt::format("{}: the video ends after {} of {} frames", info_.path,
                                              position_, promised_));

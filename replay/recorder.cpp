@@ -115,6 +115,9 @@ Expected<Recorder> Recorder::open(const fs::path& folder, const SourceInfo& info
   CORVID_CHECK(info.camera != nullptr, "a source without a camera cannot be recorded");
   const auto yaml = sensor_yaml(info);
   if (!yaml) return tl::unexpected(yaml.error());
+  if (folder.empty())
+    return fail(ErrorCode::invalid_argument, "the output folder's name is empty", "",
+                "name a folder to record into");
   auto impl = std::make_unique<Impl>();
   impl->folder = folder;
   const fs::path camera = folder / "mav0" / "cam0";
@@ -125,6 +128,9 @@ Expected<Recorder> Recorder::open(const fs::path& folder, const SourceInfo& info
     return fail(ErrorCode::invalid_argument, "there is a recording already",
                 impl->list_path.string(), "record into a new folder");
   fs::create_directories(impl->images, trouble);
+  if (trouble == std::errc::not_a_directory || trouble == std::errc::file_exists)
+    return fail(ErrorCode::invalid_argument, "is or lies below a file, where a folder must be",
+                folder.string(), "record into a new folder");
   if (trouble)
     return fail(ErrorCode::io, "cannot be made: " + trouble.message(), impl->images.string(),
                 "check the folder's permissions and the free space");

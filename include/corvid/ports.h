@@ -16,7 +16,12 @@
 namespace corvid {
 
 /// Where the camera's intrinsics come from, best first.
-enum class IntrinsicsOrigin { calibration, exif, guess };
+enum class IntrinsicsOrigin {
+  calibration,
+  exif,
+  nominal,  ///< the maker's or the data set's figures for this kind of camera
+  guess
+};
 
 /// What a source says of itself before the first frame.
 struct SourceInfo {

@@ -87,7 +87,7 @@ Expected<ImageList> read_seven_scenes(const fs::path& given) {
   if (!list.calibration || depth_camera) {
     list.calibration.emplace();
     list.calibration->camera = {CameraModel::pinhole, 640, 480, 525, 525, 319.5, 239.5, {}};
-    list.origin = IntrinsicsOrigin::exif;
+    list.origin = IntrinsicsOrigin::nominal;
     list.notes.emplace_back(
         depth_camera
             ? "the given focal length of 585 px is the depth camera's: the Kinect's nominal 525 px "

@@ -48,10 +48,13 @@ std::optional<double> to_number(std::string_view text) {
   if (text.starts_with('+')) text.remove_prefix(1);
   double value = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (end != text.data() + text.size()) return {};
   // Too small for a double (1e-400) is zero, not a fault.
-  if (error == std::errc::result_out_of_range && text.find("e-") != std::string_view::npos)
+  if (error == std::errc::result_out_of_range && text.find_first_of("eE") != text.npos &&
+      text[text.find_first_of("eE") + 1] == '-') {
     return 0;
-  if (error != std::errc{} || end != text.data() + text.size() || !std::isfinite(value)) return {};
+  }
+  if (error != std::errc{} || !std::isfinite(value)) return {};
   return value;
 }
 

@@ -50,7 +50,7 @@ void take_kinect(const fs::path& folder, ImageList& list) {
             kinect->fy,           kinect->cx, kinect->cy, kinect->distortion};
   if (kinect->distortion[0] != 0) camera.model = CameraModel::radtan;
   if (kinect == &kDefault) {
-    list.origin = IntrinsicsOrigin::exif;
+    list.origin = IntrinsicsOrigin::nominal;
     list.notes.emplace_back(
         "no calibration file and neither freiburg1, 2 nor 3 in the name: the Kinect's nominal "
         "focal length of 525 px is used");

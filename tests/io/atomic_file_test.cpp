@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -54,6 +55,33 @@ TEST(AtomicFile, Errors) {
   ASSERT_TRUE(fs::create_directory(folder / "dir"));
   EXPECT_FALSE(write_file_atomically(folder / "dir", "x"));
   EXPECT_EQ(entries(folder.path()), 2u);  // no temporary name is left
+}
+
+TEST(AtomicFile, WritesThroughLinksAndNeverOverWhatIsNoFile) {
+  const TemporaryFolder folder;
+  ASSERT_TRUE(write_file_atomically(folder / "real", "old"));
+  ASSERT_TRUE(fs::create_directory(folder / "dir"));
+  fs::create_symlink("../real", folder / "dir" / "link");  // relative to where it lies
+  fs::create_symlink(folder / "dir" / "link", folder / "chain");
+  ASSERT_TRUE(write_file_atomically(folder / "chain", "new"));
+  EXPECT_EQ(read_file_bytes(folder / "real").value(), "new");
+  EXPECT_TRUE(fs::is_symlink(folder / "chain"));
+  EXPECT_TRUE(fs::is_symlink(folder / "dir" / "link"));
+  fs::create_symlink("made", folder / "dangling");
+  ASSERT_TRUE(write_file_atomically(folder / "dangling", "x"));
+  EXPECT_EQ(read_file_bytes(folder / "made").value(), "x");
+  fs::create_symlink("loop", folder / "loop");
+  EXPECT_FALSE(write_file_atomically(folder / "loop", "x"));
+
+  ASSERT_EQ(::mkfifo((folder / "pipe").c_str(), 0600), 0);
+  fs::create_symlink("pipe", folder / "to_pipe");
+  fs::create_symlink("/dev/full", folder / "to_device");
+  for (const char* name : {"pipe", "to_pipe", "to_device", "dir"}) {
+    const auto refused = write_file_atomically(folder / name, "x");
+    ASSERT_FALSE(refused) << name;
+    EXPECT_EQ(refused.error().code, ErrorCode::invalid_argument) << name;
+  }
+  EXPECT_TRUE(fs::is_fifo(folder / "pipe"));
 }
 
 TEST(AtomicFile, KilledWriterLeavesTheOldFileOrAWholeNewOne) {
@@ -117,8 +145,12 @@ TEST(AtomicFolder, ReplacesOnlyItsOwnOrEmptyFolders) {
   EXPECT_TRUE(fs::exists(target / "second"));
 
   ASSERT_TRUE(write_file_atomically(folder / "plain", "x"));
-  EXPECT_FALSE(AtomicFolder::create(folder / "plain", "marker"));
-  EXPECT_FALSE(AtomicFolder::create("/", "marker"));
+  for (const fs::path& wrong :
+       {folder / "plain", folder / "plain" / "below", fs::path("/"), fs::path()}) {
+    const auto out = AtomicFolder::create(wrong, "marker");
+    ASSERT_FALSE(out) << wrong;
+    EXPECT_EQ(out.error().code, ErrorCode::invalid_argument) << wrong;
+  }
 }
 
 TEST(AtomicFolder, AFolderThatBecameForeignMeanwhileIsNotReplaced) {

@@ -128,7 +128,7 @@ TEST(SourceFormats, TumRgbd) {
   const auto unknown = opened(t / "my_recording");
   ASSERT_TRUE(unknown);
   EXPECT_EQ(unknown->info().camera->fx_px, 525);
-  EXPECT_EQ(unknown->info().intrinsics, IntrinsicsOrigin::exif);
+  EXPECT_EQ(unknown->info().intrinsics, IntrinsicsOrigin::nominal);
   write_text(t / "my_recording/calibration.txt", "");  // not one of the usual names
   write_text(t / "my_recording/camera.txt", "Pinhole 500 501 320 240 0\n640 480\n");
   EXPECT_EQ(opened(t / "my_recording")->info().camera->fx_px, 500);
@@ -420,6 +420,17 @@ TEST(SourceFormats, VideoFile) {
     EXPECT_GT(got, 0u);
     EXPECT_EQ(got + (*cut)->counts().skipped, 20u);
     EXPECT_FALSE((*cut)->counts().messages.empty());
+    // Of every fourth frame from the fifth on, 5 9 13 17, those beyond the cut are missed.
+    options.count = -1;
+    auto part = open_source(path, options);
+    ASSERT_TRUE(part) << part.error().to_string();
+    const std::size_t some = all_frames(**part).size();
+    EXPECT_EQ(some + (*part)->counts().skipped, 4u);
+    options.count = static_cast<int>(some) + 1;
+    auto counted = open_source(path, options);
+    ASSERT_TRUE(counted);
+    EXPECT_EQ(all_frames(**counted).size(), some);
+    EXPECT_EQ((*counted)->counts().skipped, 1u);
   }
 }
 
@@ -433,6 +444,9 @@ TEST(SourceText, NumbersAndOrder) {
     EXPECT_FALSE(seconds_to_ns(bad)) << bad;
   }
   EXPECT_EQ(to_number("1e-400"), 0);
+  EXPECT_EQ(to_number("-1E-400"), 0);
+  EXPECT_FALSE(to_number("1e-400abc"));
+  EXPECT_FALSE(to_number("1e-400 2"));
   EXPECT_FALSE(to_number("1e400"));
   EXPECT_TRUE(natural_less("img_2", "img_10"));
   EXPECT_FALSE(natural_less("img_10", "img_2"));

@@ -188,6 +188,7 @@ TEST_F(RealSets, SevenScenes) {
   EXPECT_FALSE(info.stills);
   EXPECT_TRUE(info.has_depth);
   EXPECT_EQ(info.camera->fx_px, 525);
+  EXPECT_EQ(info.intrinsics, IntrinsicsOrigin::nominal);
   EXPECT_TRUE(has_note(info.notes, "depth camera's"));
   const Trajectory truth = source->truth();
   ASSERT_EQ(truth.size(), 150u);
