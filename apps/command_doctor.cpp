@@ -21,8 +21,8 @@
 #include <vector>
 
 #include "apps/command_list.h"
+#include "apps/opencl_trouble.h"
 #include "apps/progress.h"
-#include "io/atomic_file.h"
 #include "kernels/device.h"
 #include "kernels/vendor_files.h"
 
@@ -69,25 +69,17 @@ std::string try_device(int index) {
   return {};
 }
 
-// @param cache  what examine_cache() found: PoCL gives no device where it cannot write its cache.
-void examine_opencl(const Finding& cache, Findings& findings) {
+void examine_opencl(Findings& findings) {
   constexpr const char* kInstall = "sudo apt-get install pocl-opencl-icd";
-  std::error_code ignored;
-  if (!fs::exists("/sys/devices/system/cpu", ignored)) {
-    findings.push_back({"opencl", Verdict::failure,
-                        "/sys is not mounted: PoCL ends the process without it",
-                        "mount -t sysfs sysfs /sys"});
+  if (const auto trouble = missing_processors()) {
+    findings.push_back({"opencl", Verdict::failure, trouble->what, trouble->remedy});
     return;
   }
   auto devices = list_devices();
   if (!devices) {
-    const bool by_cache =
-        cache.verdict != Verdict::ok && access("/etc/OpenCL/vendors/pocl.icd", R_OK) == 0;
-    findings.push_back(
-        {"opencl", Verdict::failure,
-         devices.error().what +
-             (by_cache ? "; PoCL is installed and needs a cache that can be written" : ""),
-         by_cache ? cache.remedy : kInstall});
+    const Error known = explained(devices.error());
+    const bool by_cache = known.what != devices.error().what;
+    findings.push_back({"opencl", Verdict::failure, known.what, by_cache ? known.hint : kInstall});
     return;
   }
   bool any = false;
@@ -111,24 +103,11 @@ void examine_opencl(const Finding& cache, Findings& findings) {
 }
 
 Finding examine_cache() {
-  const fs::path folder = cache_folder();
-  if (folder.empty()) {
-    return {"cache", Verdict::warning,
-            "neither XDG_CACHE_HOME nor HOME is set: kernels are compiled at every start",
-            "export XDG_CACHE_HOME=/var/tmp/cache"};
+  if (const auto trouble = unusable_cache()) {
+    return {"cache", Verdict::warning, trouble->what + "; kernels are compiled at every start",
+            trouble->remedy};
   }
-  const fs::path probe = folder / fmt::format("doctor-{}", getpid());
-  if (auto written = write_file_atomically(probe, "x"); !written) {
-    return {"cache", Verdict::warning,
-            fmt::format("{}: {}; kernels are compiled at every start", folder.string(),
-                        written.error().what),
-            fmt::format("export XDG_CACHE_HOME=/var/tmp/cache  # or, if it is yours: sudo chown -R "
-                        "\"$(id -u)\" '{}'",
-                        folder.string())};
-  }
-  std::error_code ignored;
-  fs::remove(probe, ignored);
-  return {"cache", Verdict::ok, folder.string() + " can be written", ""};
+  return {"cache", Verdict::ok, cache_folder().string() + " can be written", ""};
 }
 
 void examine_camera(const fs::path& node, Findings& findings) {
@@ -222,9 +201,8 @@ void examine_locale(Findings& findings) {
 
 Expected<ExitCode> run(bool json, Context& context) {
   Findings findings;
-  const Finding cache = examine_cache();
-  examine_opencl(cache, findings);
-  findings.push_back(cache);
+  examine_opencl(findings);
+  findings.push_back(examine_cache());
   examine_cameras(findings);
   examine_resources(findings);
   examine_locale(findings);

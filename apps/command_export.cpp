@@ -3,6 +3,7 @@
 #include <CLI/CLI.hpp>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <ostream>
 #include <string>
 
@@ -15,14 +16,17 @@ namespace corvid {
 namespace {
 
 struct Arguments {
-  std::string run, format, out;
+  std::string run, format;
+  std::optional<std::string> out;
 };
 
 Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const std::filesystem::path folder = arguments.run;
+  const auto out_or = [&](const char* name) {
+    return arguments.out ? std::filesystem::path(*arguments.out) : folder / name;
+  };
   if (arguments.format == "colmap") {
-    const auto out =
-        arguments.out.empty() ? folder / "colmap-export" : std::filesystem::path(arguments.out);
+    const auto out = out_or("colmap-export");
     if (auto copied = copy_run_colmap(folder, out); !copied) return tl::unexpected(copied.error());
     context.out << out.string() << '\n';
     return ExitCode::ok;
@@ -34,10 +38,11 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
                 "it was flown with --no-mapping, or saw too little to map; its report says more");
   }
   if (arguments.format == "drc" || arguments.format == "glb") {  // the run's own, byte for byte
-    const auto own = folder / ("mesh." + arguments.format);
+    const std::string name = "mesh." + arguments.format;
+    const auto own = folder / name;
     const auto bytes = read_file_bytes(own);
     if (!bytes) return tl::unexpected(bytes.error());
-    const auto out = arguments.out.empty() ? own : std::filesystem::path(arguments.out);
+    const auto out = out_or(name.c_str());
     std::error_code ignored;
     if (!std::filesystem::equivalent(own, out, ignored)) {
       if (auto written = write_file_atomically(out, *bytes); !written) {
@@ -50,7 +55,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const auto format = mesh_format_from_name(arguments.format);
   const std::string name =
       arguments.format == "glb-plain" ? "mesh-plain.glb" : "mesh." + arguments.format;
-  const auto out = arguments.out.empty() ? folder / name : std::filesystem::path(arguments.out);
+  const auto out = out_or(name.c_str());
   if (auto written = write_mesh(*mesh, out, format); !written) {
     return tl::unexpected(written.error());
   }
@@ -69,7 +74,8 @@ Action add_export_command(CLI::App& app) {
       ->required()
       ->check(CLI::IsMember({"ply", "obj", "glb", "glb-plain", "drc", "colmap"}));
   command->add_option("--out", a->out,
-                      "File (colmap: new folder) to write; default: inside the run's folder");
+                      "File (colmap: new folder) to write, through symbolic links, never a device "
+                      "or a pipe; default: inside the run's folder");
   command->footer(R"(
 Examples:
   corvid export run --format ply                          run/mesh.ply

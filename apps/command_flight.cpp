@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "apps/evaluation.h"
+#include "apps/opencl_trouble.h"
 #include "apps/program_source.h"
 #include "apps/progress.h"
 #include "apps/report_numbers.h"
@@ -231,8 +232,11 @@ ExitCode judge(const RunResult& result, const std::string& source, bool asked) {
 
 Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& context) {
   if (auto free = check_run_folder(plan.out); !free) return tl::unexpected(free.error());
+  if (const auto trouble = missing_processors()) {
+    return fail(ErrorCode::device, trouble->what, "OpenCL", trouble->remedy);
+  }
   auto engine = Engine::create(plan.options);
-  if (!engine) return tl::unexpected(engine.error());
+  if (!engine) return tl::unexpected(explained(engine.error()));
 
   SteadyClock clock;
   const FrameSource& source = *plan.source;  // the player owns it from here on

@@ -39,7 +39,8 @@ Environment:
   OCL_ICD_VENDORS    which OpenCL drivers are seen
 
 Exit codes:
-  0 done   1 unexpected failure   2 wrong arguments   3 not found
+  0 done   1 unexpected failure, or the source or device failed during the run: what there was
+  is saved   2 wrong arguments   3 not found
   4 corrupt or unsupported input   5 no usable OpenCL device
   6 the run ended without a single pose   130 interrupted, what there was is saved
 )";
@@ -117,6 +118,14 @@ ExitCode usage(const CLI::App& app, const CLI::ParseError& error, Context& conte
   return ExitCode::usage;
 }
 
+// Whether all results went out; says so if not.
+bool written(Context& context) {
+  context.out.flush();
+  if (context.out) return true;
+  context.err << "error: the results cannot be written to the standard output\n";
+  return false;
+}
+
 ExitCode run(int argc, const char* const* argv, Context& context) {
   CLI::App app{"Corvid: camera images in; trajectory, map and mesh out.", "corvid"};
   app.set_version_flag("--version", "corvid " CORVID_VERSION);
@@ -139,7 +148,7 @@ ExitCode run(int argc, const char* const* argv, Context& context) {
     app.parse(argc, argv);
   } catch (const CLI::Success& help) {
     app.exit(help, context.out, context.err);
-    return ExitCode::ok;
+    return written(context) ? ExitCode::ok : ExitCode::failure;
   } catch (const CLI::ParseError& error) {
     return usage(app, error, context);
   }
@@ -152,16 +161,12 @@ ExitCode run(int argc, const char* const* argv, Context& context) {
   for (const auto& [command, action] : commands) {
     if (!command->parsed()) continue;
     const auto result = action(context);
-    context.out.flush();
+    const bool good = written(context);
     if (!result) {
       log().error("{}", result.error().to_string());
       return exit_code(result.error().code);
     }
-    if (!context.out) {
-      log().error("the results cannot be written to the standard output");
-      return ExitCode::failure;
-    }
-    return *result;
+    return good ? *result : ExitCode::failure;
   }
   return ExitCode::usage;
 }

@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <nlohmann/json.hpp>
 
+#include "apps/opencl_trouble.h"
 #include "kernels/vendor_files.h"
 #include "program_fixture.h"
 
@@ -37,7 +38,7 @@ TEST_F(DoctorTest, ReportsEveryTopicAndItsVerdictDecidesTheCode) {
   }
   std::error_code none;
   for (const auto& entry : std::filesystem::directory_iterator(cache_folder(), none)) {
-    EXPECT_FALSE(entry.path().filename().string().starts_with("doctor-")) << "the probe is left";
+    EXPECT_FALSE(entry.path().filename().string().starts_with("probe-")) << "the probe is left";
   }
 }
 
@@ -55,6 +56,26 @@ TEST_F(DoctorTest, ACacheThatCannotBeWrittenIsNamedWithItsRemedy) {
         std::exit(0);
       },
       ::testing::ExitedWithCode(0), "warningexport XDG_CACHE_HOME");
+}
+
+TEST_F(DoctorTest, OthersExplainTheSameTroubles) {
+  EXPECT_FALSE(missing_processors(folder_));
+  const auto missing = missing_processors(folder_ / "absent");
+  ASSERT_TRUE(missing);
+  EXPECT_NE(missing->what.find("/sys"), std::string::npos);
+  EXPECT_NE(missing->remedy.find("mount"), std::string::npos);
+
+  const char* before = std::getenv("XDG_CACHE_HOME");
+  const std::string kept = before != nullptr ? before : "";
+  setenv("XDG_CACHE_HOME", write("a_file", "x").c_str(), 1);
+  const Error device{ErrorCode::device, "no usable OpenCL device", "OpenCL", "install one"};
+  const Error told = explained(device);
+  const Error other = explained({ErrorCode::io, "a full disk", "here", ""});
+  before != nullptr ? setenv("XDG_CACHE_HOME", kept.c_str(), 1) : unsetenv("XDG_CACHE_HOME");
+  EXPECT_EQ(other.what, "a full disk");
+  if (access("/etc/OpenCL/vendors/pocl.icd", R_OK) != 0) GTEST_SKIP() << "PoCL is not installed";
+  EXPECT_NE(told.what.find("needs a cache that can be written"), std::string::npos) << told.what;
+  EXPECT_NE(told.hint.find("export XDG_CACHE_HOME"), std::string::npos) << told.hint;
 }
 
 TEST_F(DoctorTest, WithoutAnyDriverTheCodeIsFiveAndTheRemedyIsNamed) {

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <streambuf>
 
 #include "core/log.h"
 #include "io/options_file.h"
@@ -57,6 +58,10 @@ TEST(Program, WrongUsageIsTwoAndNamesTheNearest) {
       {{"info"}, "SOURCE is required"},
       {{"info", "x", "y"}, "unknown argument y"},
       {{"info", "x", "--step", "0"}, "--step"},
+      {{"info", "x", "--first", "-1"}, "--first: must be at least 0, not -1 "},
+      {{"info", "x", "--count", "0"}, "--count: must be at least 1, not 0 "},
+      {{"info", "x", "--frame-rate", "0"}, "--frame-rate: must be more than 0, not 0 "},
+      {{"eval", "a", "b", "--max-dt", "nan"}, "--max-dt: must be at least 0, not nan "},
       {{"eval", "a", "b", "--align", "affine"}, "affine"},
       {{"replay", "synthetic", "--out", "y", "--rate", "fast"}, "`fast` is not a rate"},
       {{"replay", "synthetic", "--out", "y", "--rate", "-1"}, "`-1` is not a rate"},
@@ -76,6 +81,41 @@ TEST(Program, WrongUsageIsTwoAndNamesTheNearest) {
     EXPECT_THAT(ran.err, HasSubstr(c.said));
     EXPECT_THAT(ran.err, HasSubstr("error: "));
     EXPECT_THAT(ran.out, IsEmpty()) << c.said;
+  }
+}
+
+TEST(Program, HelpShowsOptionsAsTheyAreTyped) {
+  const Ran help = corvid_run({"info", "--help"});
+  EXPECT_THAT(help.out, HasSubstr("--grey "));
+  EXPECT_THAT(help.out, Not(HasSubstr("{false}")));
+  const Ran grey = corvid_run(
+      {"info", "synthetic:duration=0.2,rate=10,width=160,height=120", "--grey", "--json"});
+  EXPECT_EQ(json::parse(grey.out)["colour"], false) << grey.err;
+}
+
+// What /dev/full does to a stream.
+struct FullDevice final : std::streambuf {
+  int overflow(int) override { return traits_type::eof(); }
+  std::streamsize xsputn(const char*, std::streamsize) override { return 0; }
+  int sync() override { return -1; }
+};
+
+TEST(Program, ResultsThatCannotBeWrittenAreAFailure) {
+  const std::vector<std::vector<const char*>> commands = {
+      {"corvid", "--help"},
+      {"corvid", "--version"},
+      {"corvid", "replay", "--help"},
+      {"corvid", "options"},
+      {"corvid", "info", "synthetic:duration=0.2,rate=10,width=160,height=120"},
+      {"corvid", "info", "synthetic:duration=0.2,rate=10,width=160,height=120", "--json"}};
+  for (const auto& arguments : commands) {
+    FullDevice full;
+    std::ostream out(&full);
+    std::ostringstream err;
+    EXPECT_EQ(run_program(static_cast<int>(arguments.size()), arguments.data(), Context{out, err}),
+              code(ExitCode::failure))
+        << arguments.back();
+    EXPECT_THAT(err.str(), HasSubstr("cannot be written to the standard output"));
   }
 }
 
@@ -155,6 +195,11 @@ TEST_F(ProgramTest, ARecordingIsTheSourceAgain) {
   const Ran again = corvid_run({"record", flight, "--out", path("town")});
   EXPECT_NE(again.code, 0);
   EXPECT_THAT(again.err, HasSubstr(path("town")));
+  const std::string file = write("file", "x");
+  for (const std::string& out : {std::string(), file, file + "/below"}) {
+    const Ran wrong = corvid_run({"record", flight, "--out", out});
+    EXPECT_EQ(wrong.code, code(ExitCode::usage)) << out << ": " << wrong.err;
+  }
 }
 
 // A curved path; the estimate is the same one scaled, turned about z, shifted, and 3 cm off by
@@ -199,6 +244,10 @@ TEST_F(ProgramTest, EvalAlignsAndMeasures) {
   std::filesystem::copy(e, folder_ / "run/trajectory.txt");
   EXPECT_EQ(corvid_run({"eval", path("run"), t, "--json"}).out, ran.out)
       << "a run's folder will do";
+  std::filesystem::create_directories(folder_ / "other");
+  std::filesystem::copy(t, folder_ / "other/trajectory.txt");
+  EXPECT_EQ(corvid_run({"eval", path("run"), path("other"), "--json"}).out, ran.out)
+      << "on either side";
 }
 
 TEST_F(ProgramTest, EvalRefusesWhatCannotBeCompared) {

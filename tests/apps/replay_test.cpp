@@ -2,6 +2,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <spdlog/sinks/null_sink.h>
+#include <sys/stat.h>
+
 #include <csignal>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
@@ -9,6 +12,7 @@
 
 #include "apps/command_flight.h"
 #include "apps/signal_guard.h"
+#include "apps/talk.h"
 #include "core/log.h"
 #include "io/mesh_files.h"
 #include "io/options_file.h"
@@ -85,6 +89,21 @@ TEST_F(ReplayTest, WritesTheFolderAndSpeaksJson) {
     ASSERT_TRUE(mesh) << mesh.error().to_string();
     EXPECT_GT(mesh->triangles.size(), 100U) << format;
   }
+  ASSERT_EQ(mkfifo(path("pipe").c_str(), 0600), 0);
+  std::filesystem::create_directories(folder_ / "full");
+  write("full/letter.txt", "dear");
+  for (const char* format : {"ply", "drc", "colmap"}) {
+    for (const std::string& out : {std::string(), path("full"), path("pipe")}) {
+      const Ran wrong = corvid_run({"export", path("run"), "--format", format, "--out", out});
+      EXPECT_EQ(wrong.code, static_cast<int>(ExitCode::usage)) << format << " " << out;
+    }
+  }
+  EXPECT_TRUE(std::filesystem::is_fifo(path("pipe")));
+  std::filesystem::remove(path("pipe"));
+  std::filesystem::create_symlink(path("mesh.drc"), path("link.drc"));
+  EXPECT_EQ(corvid_run({"export", path("run"), "--format", "drc", "--out", path("link.drc")}).code,
+            0);
+  EXPECT_TRUE(std::filesystem::is_symlink(path("link.drc")));
   const Ran colmap = corvid_run({"export", path("run"), "--format", "colmap", "--out", path("c")});
   ASSERT_EQ(colmap.code, 0) << colmap.err;
   EXPECT_TRUE(std::filesystem::exists(folder_ / "c/sparse/cameras.txt"));
@@ -127,12 +146,74 @@ TEST_F(ReplayTest, RefusesAFolderThatIsNotARunsBeforeItFlies) {
   EXPECT_EQ(ran.code, static_cast<int>(ExitCode::usage));
   EXPECT_THAT(ran.out, IsEmpty());
   EXPECT_EQ(read(folder_ / "mine/letter.txt"), "dear");
+  const std::string file = write("file", "x");
+  for (const std::string& out : {std::string(), file, file + "/below"}) {
+    const Ran wrong = corvid_run({"replay", kFlight, "--out", out});
+    EXPECT_EQ(wrong.code, static_cast<int>(ExitCode::usage)) << out << ": " << wrong.err;
+    EXPECT_EQ(corvid_run({"demo", "--quick", "--out", out}).code, static_cast<int>(ExitCode::usage))
+        << out;
+  }
 }
 
 TEST_F(ReplayTest, ADeviceThatIsNotThereEndsWithFive) {
   const Ran ran = corvid_run({"replay", kFlight, "--out", path("run"), "--device", "99"});
   EXPECT_EQ(ran.code, static_cast<int>(ExitCode::device)) << ran.err;
   EXPECT_FALSE(std::filesystem::exists(folder_ / "run"));
+}
+
+/// Some frames of a flight, then a fault.
+class FailingSource final : public FrameSource {
+ public:
+  explicit FailingSource(std::size_t good) : good_(good) {}
+  const SourceInfo& info() const override { return flight_.info(); }
+  Expected<FramePtr> next(const std::stop_token&) override {
+    if (given_ < good_) return flight_.render(given_++);
+    return fail(ErrorCode::corrupt, "the cable came out", "camera 0");
+  }
+  SourceCounts counts() const override { return {given_, 0, 0, {}}; }
+
+ private:
+  static FlightOptions options() {
+    FlightOptions options;
+    options.width_px = 320;
+    options.height_px = 240;
+    options.duration_s = 2;
+    return options;
+  }
+  SyntheticFlight flight_{options()};
+  std::size_t good_, given_ = 0;
+};
+
+TEST_F(ReplayTest, ASourceThatFailsLeavesAPartialRunAndEndsWithOne) {
+  for (const std::size_t good : {std::size_t{0}, std::size_t{30}}) {
+    std::ostringstream out, err;
+    Context context{out, err};
+    set_logger(std::make_shared<spdlog::logger>("corvid", std::make_shared<Talk>(err)));
+    FlightPlan plan;
+    plan.source = std::make_unique<FailingSource>(good);
+    plan.options.threads = 2;
+    plan.options.mapping.enabled = false;
+    plan.out = path("run");
+    plan.json = true;
+    const SignalGuard signals;
+    const auto code = fly(std::move(plan), signals, context);
+    set_logger(std::make_shared<spdlog::logger>("corvid",
+                                                std::make_shared<spdlog::sinks::null_sink_mt>()));
+    if (good == 0) {  // nothing to save: the fault is the result
+      ASSERT_FALSE(code);
+      EXPECT_EQ(code.error().code, ErrorCode::corrupt);
+      EXPECT_FALSE(std::filesystem::exists(path("run")));
+      continue;
+    }
+    ASSERT_TRUE(code) << code.error().to_string();
+    EXPECT_EQ(*code, ExitCode::failure);
+    EXPECT_THAT(err.str(), HasSubstr("The run ended early: camera 0: the cable came out"));
+    const json end = lines_of(out.str()).back();
+    EXPECT_EQ(end["exit_code"], 1);
+    EXPECT_EQ(end["interrupted"], true);
+    EXPECT_GT(end["poses"].get<int>(), 10);
+    EXPECT_TRUE(read_trajectory(path("run/trajectory.txt")));
+  }
 }
 
 // A stream buffer that sends a signal to this process when the n-th line goes through it.
