@@ -55,6 +55,8 @@ struct Backend::Impl {
   [[nodiscard]] bool jumps(const Resection& r, std::size_t points, std::int64_t time_ns) const;
   [[nodiscard]] Pose pose_of(const FrameRecord& record) const;
   [[nodiscard]] IntrinsicsPolicy intrinsics_policy() const;
+  [[nodiscard]] IntrinsicsPolicy final_intrinsics_policy() const;
+  [[nodiscard]] bool wide_enough(std::vector<double> ray_angles_rad) const;
   [[nodiscard]] int segment_keyframes() const {
     return static_cast<int>(map.keyframes.size()) - segment_first;
   }
@@ -302,8 +304,26 @@ IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
       angles.push_back(it->second.max_ray_angle_rad);
     }
   }
-  policy.refine = median(std::move(angles)) > 2 * options.start_min_parallax_rad;
+  policy.refine = wide_enough(std::move(angles));
   return policy;
+}
+
+/// Over the whole map, for the last adjustment.
+IntrinsicsPolicy Backend::Impl::final_intrinsics_policy() const {
+  IntrinsicsPolicy policy;
+  policy.prior = prior;
+  if (!refine || map.keyframes.size() < static_cast<std::size_t>(kIntrinsicsFrom)) return policy;
+  std::vector<double> angles;
+  for (const auto& [id, track] : map.tracks) {
+    if (track.landmark) angles.push_back(track.max_ray_angle_rad);
+  }
+  policy.refine = wide_enough(std::move(angles));
+  return policy;
+}
+
+/// Intrinsics and a flat fan of rays cannot be told apart.
+bool Backend::Impl::wide_enough(std::vector<double> ray_angles_rad) const {
+  return median(std::move(ray_angles_rad)) > 2 * options.start_min_parallax_rad;
 }
 
 void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,
@@ -385,10 +405,7 @@ std::shared_ptr<const MapSnapshot> Backend::map() const { return impl_->publishe
 void Backend::finish() {
   Impl& b = *impl_;
   if (!b.options.final_adjustment || b.map.keyframes.empty()) return;
-  IntrinsicsPolicy policy;
-  policy.prior = b.prior;
-  policy.refine = b.refine && static_cast<int>(b.map.keyframes.size()) >= kIntrinsicsFrom;
-  adjust_all(b.map, b.options, b.threads, policy);
+  adjust_all(b.map, b.options, b.threads, b.final_intrinsics_policy());
   b.publish_map();
 }
 

@@ -157,7 +157,7 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
     for (int k = 0; k < keyframes; ++k) {
       map.triangulate_tracks(k, options.min_angle_rad, options.max_error_px);
     }
-    if (!adjust_window(map, 0, keyframes, options, threads, {}).ok) return std::nullopt;
+    if (!adjust_window(map, 0, keyframes, options, threads, {})) return std::nullopt;
   }
   int live = 0;
   for (const TrackId id : map.keyframes.back().tracks) {

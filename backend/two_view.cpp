@@ -66,7 +66,6 @@ Judged judge(const Camera& camera, std::span<const PixelPair> pairs,
   const Pose T_b_a = T_a_b.inverse();
   const double max2 = options.max_error_px * options.max_error_px;
   std::vector<double> parallax;
-  double sum = 0;
   result.cost = max2 * static_cast<double>(rays.size());
   for (const RayPair& ray : rays) {
     const PixelPair& pair = pairs[static_cast<std::size_t>(ray.index)];
@@ -103,10 +102,7 @@ Judged judge(const Camera& camera, std::span<const PixelPair> pairs,
     if (angle < options.min_angle_rad) continue;
     result.motion.index.push_back(ray.index);
     result.motion.p_a.push_back(p_a);
-    sum += 0.5 * (ea + eb);
   }
-  const auto n = result.motion.index.size();
-  result.motion.rms_px = n > 0 ? std::sqrt(sum / static_cast<double>(n)) : 0;
   result.motion.median_parallax_rad = median(std::move(parallax));
   return result;
 }
@@ -144,16 +140,16 @@ Eigen::Matrix3d to_eigen(const cv::Mat& m) {
   return out;
 }
 
-void add_candidate(const Eigen::Matrix3d& R_b_a, const Eigen::Vector3d& t_b_a, bool homography,
-                   std::vector<std::pair<Pose, bool>>* candidates) {
+void add_candidate(const Eigen::Matrix3d& R_b_a, const Eigen::Vector3d& t_b_a,
+                   std::vector<Pose>* candidates) {
   if (!R_b_a.allFinite() || !(t_b_a.norm() > 1e-9)) return;
   const Pose T_a_b = Pose(R_b_a, t_b_a.normalized()).inverse();
-  if (T_a_b.finite()) candidates->emplace_back(T_a_b, homography);
+  if (T_a_b.finite()) candidates->push_back(T_a_b);
 }
 
-/// Relative poses that the pairs may have come from; true marks those of a homography.
-std::vector<std::pair<Pose, bool>> candidate_motions(std::vector<RayPair> rays, double threshold,
-                                                     std::uint64_t seed) {
+/// Relative poses that the pairs may have come from.
+std::vector<Pose> candidate_motions(std::vector<RayPair> rays, double threshold,
+                                    std::uint64_t seed) {
   std::mt19937_64 random(seed);  // OpenCV's own generator has a fixed seed: the order is ours
   for (std::size_t i = rays.size(); i > 1; --i) std::swap(rays[i - 1], rays[random() % i]);
   std::vector<cv::Point2d> a, b;
@@ -162,7 +158,7 @@ std::vector<std::pair<Pose, bool>> candidate_motions(std::vector<RayPair> rays, 
     a.emplace_back(ray.a.x() / ray.a.z(), ray.a.y() / ray.a.z());
     b.emplace_back(ray.b.x() / ray.b.z(), ray.b.y() / ray.b.z());
   }
-  std::vector<std::pair<Pose, bool>> candidates;
+  std::vector<Pose> candidates;
   if (a.size() < 8) return candidates;
   const cv::Mat K = cv::Mat::eye(3, 3, CV_64F);
   const cv::Mat E = cv::findEssentialMat(a, b, K, cv::RANSAC, 0.999, threshold);
@@ -171,8 +167,8 @@ std::vector<std::pair<Pose, bool>> candidate_motions(std::vector<RayPair> rays, 
     cv::decomposeEssentialMat(E.rowRange(row, row + 3), R1, R2, t);
     const Eigen::Vector3d t_b_a(t.at<double>(0), t.at<double>(1), t.at<double>(2));
     for (const cv::Mat& R : {R1, R2}) {
-      add_candidate(to_eigen(R), t_b_a, false, &candidates);
-      add_candidate(to_eigen(R), -t_b_a, false, &candidates);
+      add_candidate(to_eigen(R), t_b_a, &candidates);
+      add_candidate(to_eigen(R), -t_b_a, &candidates);
     }
   }
   const cv::Mat H = cv::findHomography(a, b, cv::RANSAC, 2 * threshold, cv::noArray(), 1000, 0.999);
@@ -181,7 +177,7 @@ std::vector<std::pair<Pose, bool>> candidate_motions(std::vector<RayPair> rays, 
     cv::decomposeHomographyMat(H, K, R, t, normal);
     for (std::size_t i = 0; i < R.size(); ++i) {
       add_candidate(to_eigen(R[i]), {t[i].at<double>(0), t[i].at<double>(1), t[i].at<double>(2)},
-                    true, &candidates);
+                    &candidates);
     }
   }
   return candidates;
@@ -217,52 +213,44 @@ TwoView two_view(const Camera& camera, std::span<const PixelPair> pairs,
     return result;
   }
 
-  struct Candidate {
-    Judged judged;
-    bool homography;
-  };
-  std::vector<Candidate> judged;
-  for (const auto& [T, homography] :
-       candidate_motions(rays, 0.5 * options.max_error_px / focal, options.seed)) {
-    judged.push_back({judge(camera, pairs, rays, T, options), homography});
+  std::vector<Judged> judged;
+  for (const Pose& T : candidate_motions(rays, 0.5 * options.max_error_px / focal, options.seed)) {
+    judged.push_back(judge(camera, pairs, rays, T, options));
   }
   // By cost over all pairs, not by the number of points: wrong motions can have wider angles.
-  const auto better = [](const Candidate& x, const Candidate& y) {
-    return x.judged.cost < y.judged.cost;
-  };
+  const auto better = [](const Judged& x, const Judged& y) { return x.cost < y.cost; };
   std::stable_sort(judged.begin(), judged.end(), better);
   if (judged.size() > 3) judged.resize(3);
-  for (Candidate& candidate : judged) {
-    for (int round = 0; round < 2 && candidate.judged.in_front >= 8; ++round) {
-      const Pose T = refine(camera, pairs, candidate.judged, options);
-      candidate.judged = judge(camera, pairs, rays, T, options);
+  for (Judged& candidate : judged) {
+    for (int round = 0; round < 2 && candidate.in_front >= 8; ++round) {
+      const Pose T = refine(camera, pairs, candidate, options);
+      candidate = judge(camera, pairs, rays, T, options);
     }
   }
   std::stable_sort(judged.begin(), judged.end(), better);
-  if (judged.empty() || judged.front().judged.motion.index.size() < enough) {
+  if (judged.empty() || judged.front().motion.index.size() < enough) {
     result.reason = "too few points agree with one motion";
     return result;
   }
-  const Candidate& best = judged.front();
-  const TwoViewMotion& motion = best.judged.motion;
+  const Judged& best = judged.front();
+  const TwoViewMotion& motion = best.motion;
   if (motion.median_parallax_rad < options.start_min_parallax_rad) {
     result.reason = "too little parallax";
     return result;
   }
   constexpr double kInFront = 0.8, kExplained = 0.4;
-  const double in_front = best.judged.in_front;
-  if (in_front < kInFront * (in_front + best.judged.behind) ||
+  const double in_front = best.in_front;
+  if (in_front < kInFront * (in_front + best.behind) ||
       in_front < kExplained * static_cast<double>(rays.size())) {
     result.reason = "the tracks do not agree with one motion";
     return result;
   }
   result.accepted = true;
-  result.from_homography = best.homography;
   result.explained = in_front / static_cast<double>(rays.size());
   result.motion = motion;
   for (std::size_t i = 1; i < judged.size(); ++i) {
-    const TwoViewMotion& other = judged[i].judged.motion;
-    if (other.index.size() >= enough && judged[i].judged.cost < 1.2 * best.judged.cost &&
+    const TwoViewMotion& other = judged[i].motion;
+    if (other.index.size() >= enough && judged[i].cost < 1.2 * best.cost &&
         differ(other.T_a_b, motion.T_a_b)) {
       result.rival = other;
       break;

@@ -26,15 +26,13 @@ struct TwoViewMotion {
   std::vector<int> index;            ///< the pairs that became points
   std::vector<Eigen::Vector3d> p_a;  ///< their points, in camera a
   double median_parallax_rad = 0;    ///< of all pairs that agree with the motion
-  double rms_px = 0;                 ///< reprojection error of the points
 };
 
 struct TwoView {
   bool accepted = false;
-  std::string reason;            ///< why not, in words for the user
-  bool from_homography = false;  ///< the scene (nearly) is a plane
-  double explained = 0;          ///< share of the pairs that agree with the motion
-  TwoViewMotion motion;          ///< meaningful if accepted
+  std::string reason;    ///< why not, in words for the user
+  double explained = 0;  ///< share of the pairs that agree with the motion
+  TwoViewMotion motion;  ///< meaningful if accepted
   /// A plane seen twice can have two explanations that are equally good: the other one. A third
   /// view must choose.
   std::optional<TwoViewMotion> rival;

@@ -92,8 +92,7 @@ double widest_angle(const MapData& map, const MapTrack& track) {
 }
 
 /// Drops what does not fit after an adjustment.
-void drop_outliers(MapData& map, const Part& part, const BackendOptions& options,
-                   WindowResult* result) {
+void drop_outliers(MapData& map, const Part& part, const BackendOptions& options) {
   const double max2 = options.max_error_px * options.max_error_px;
   const int newest = static_cast<int>(map.keyframes.size()) - 1;
   for (MapTrack* const track : part.tracks) {
@@ -104,16 +103,13 @@ void drop_outliers(MapData& map, const Part& part, const BackendOptions& options
       if (pixel && (*pixel - v.pixel).squaredNorm() < max2) continue;
       if (v.keyframe == newest) track->dead = true;
       map.drop_view(*track, i);
-      ++result->views_dropped;
     }
     track->max_ray_angle_rad = track->views.size() < 2 ? 0 : widest_angle(map, *track);
     // Two views of a track that went wrong prove nothing. The angle has some hysteresis: one just
     // above the gate may shrink a little as poses move.
     const std::size_t least = track->dead ? 3 : 2;
-    if (track->views.size() < least || track->max_ray_angle_rad < 0.7 * options.min_angle_rad) {
+    if (track->views.size() < least || track->max_ray_angle_rad < 0.7 * options.min_angle_rad)
       map.drop_landmark(*track);
-      ++result->landmarks_dropped;
-    }
   }
 }
 
@@ -152,9 +148,8 @@ void estimate_covariance(MapData& map, const Part& part, double huber_px) {
 
 }  // namespace
 
-WindowResult adjust_window(MapData& map, int first, int count, const BackendOptions& options,
-                           int threads, const IntrinsicsPolicy& intrinsics) {
-  WindowResult result;
+bool adjust_window(MapData& map, int first, int count, const BackendOptions& options, int threads,
+                   const IntrinsicsPolicy& intrinsics) {
   const int size = static_cast<int>(map.keyframes.size());
   CORVID_CHECK(first >= 0 && first < size, "no such keyframe");
   std::vector<std::uint8_t> moving(map.keyframes.size(), 0);
@@ -167,26 +162,25 @@ WindowResult adjust_window(MapData& map, int first, int count, const BackendOpti
     fixed += part.problem.fixed[i];
   }
   const std::vector<int> gauge = earliest_two(part, first);
-  if (gauge.size() < 2) return result;
+  if (gauge.size() < 2) return false;
   if (fixed == 0) part.problem.fixed[static_cast<std::size_t>(gauge[0])] = 1;
   if (fixed < 2) part.problem.hold_distance.emplace_back(gauge[0], gauge[1]);
 
-  result.ok = adjust(part.problem, settings_for(options, threads, intrinsics)).ok;
-  if (result.ok) {
+  const bool ok = adjust(part.problem, settings_for(options, threads, intrinsics)).ok;
+  if (ok) {
     write_back(map, part, intrinsics.refine);
     estimate_covariance(map, part, options.huber_px);
   }
-  drop_outliers(map, part, options, &result);
-  return result;
+  drop_outliers(map, part, options);
+  return ok;
 }
 
-WindowResult adjust_all(MapData& map, const BackendOptions& options, int threads,
-                        const IntrinsicsPolicy& intrinsics) {
-  WindowResult result;
+bool adjust_all(MapData& map, const BackendOptions& options, int threads,
+                const IntrinsicsPolicy& intrinsics) {
   constexpr int kRounds = 2, kIterations = 30;
   for (int round = 0; round < kRounds; ++round) {
     Part part = collect(map, std::vector<std::uint8_t>(map.keyframes.size(), 1), 0);
-    if (part.keyframes.size() < 2) return result;
+    if (part.keyframes.size() < 2) return false;
     // Gauge of every segment: its first keyframe, and the distance to its second.
     std::vector<std::pair<int, int>> order;
     for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
@@ -205,12 +199,11 @@ WindowResult adjust_all(MapData& map, const BackendOptions& options, int threads
     }
     BundleSettings settings = settings_for(options, threads, intrinsics);
     settings.max_iterations = kIterations;
-    result.ok = adjust(part.problem, settings).ok;
-    if (!result.ok) return result;
+    if (!adjust(part.problem, settings).ok) return false;
     write_back(map, part, intrinsics.refine);
-    drop_outliers(map, part, options, &result);
+    drop_outliers(map, part, options);
   }
-  return result;
+  return true;
 }
 
 }  // namespace corvid

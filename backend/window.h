@@ -13,12 +13,6 @@ struct IntrinsicsPolicy {
   Camera prior;  ///< intrinsics that the source gave
 };
 
-struct WindowResult {
-  bool ok = false;
-  int views_dropped = 0;      ///< observations whose error was above max_error_px
-  int landmarks_dropped = 0;  ///< left with fewer than two views or too small an angle
-};
-
 /// Adjusts the newest keyframes of the newest segment and the landmarks they see, in place;
 /// then drops observations and landmarks that do not fit. A track whose newest observation is
 /// dropped is dead. Also estimates the newest keyframe's covariance.
@@ -27,11 +21,12 @@ struct WindowResult {
 /// is made in this function and nowhere else.
 /// @param first  position of the segment's first keyframe, which is never moved.
 /// @param count  keyframes that move.
-WindowResult adjust_window(MapData& map, int first, int count, const BackendOptions& options,
-                           int threads, const IntrinsicsPolicy& intrinsics);
+/// @return whether anything was adjusted.
+bool adjust_window(MapData& map, int first, int count, const BackendOptions& options, int threads,
+                   const IntrinsicsPolicy& intrinsics);
 
 /// Adjusts every keyframe and landmark of all segments, twice, with outliers dropped in between.
-WindowResult adjust_all(MapData& map, const BackendOptions& options, int threads,
-                        const IntrinsicsPolicy& intrinsics);
+bool adjust_all(MapData& map, const BackendOptions& options, int threads,
+                const IntrinsicsPolicy& intrinsics);
 
 }  // namespace corvid

@@ -108,7 +108,6 @@ ImageSimilarity align_images(NccMatcher& matcher, const DevicePyramid& reference
   const DeviceImage& t = target.level(level);
   if (std::min({r.width_px, r.height_px, t.width_px, t.height_px}) < 2 * kTemplatePx) return result;
   const auto centres = grid(r);
-  result.templates = static_cast<int>(centres.size());
 
   constexpr double kStep = std::numbers::pi / 12;
   std::vector<Hypothesis> turns;

@@ -12,8 +12,7 @@ struct ImageSimilarity {
   double scale = 1;
   double angle_rad = 0;
   Eigen::Vector2d t_px = Eigen::Vector2d::Zero();
-  int templates = 0;  ///< searched
-  int votes = 0;      ///< that agree on this similarity
+  int votes = 0;  ///< that agree on this similarity
   bool valid = false;
 
   [[nodiscard]] Eigen::Matrix2d linear() const;

@@ -9,6 +9,7 @@
 
 #include "frontend/disambiguate/epipolar_constraint.h"
 #include "frontend/disambiguate/highest_scores.h"
+#include "frontend/disambiguate/weak_corners.h"
 #include "frontend/epipolar.h"
 #include "frontend/predict.h"
 
@@ -148,7 +149,6 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
     if (!enough()) {
       // Keep the tracks for a while: the view may come back (a hand before the lens, a dark frame).
       if (++misses_ <= kMaxMisses && !stills_) return result;
-      counts_.ended = counts_.before;
       reset();
     } else {
       const double gap = misses_ + 1;  // frames since the tracks were seen
@@ -164,7 +164,6 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
             {track.id, found[i].pixel, found[i].score, found[i].sigma_px});
         alive.push_back(std::move(track));
       }
-      counts_.ended = counts_.before - static_cast<int>(alive.size());
       tracks_ = std::move(alive);
     }
   }
@@ -309,13 +308,14 @@ void Frontend::remove_weak_corners(std::span<const SearchQuery> queries, int lev
   }
   const auto score_r =
       corners_.score_at(previous_->pyramid->level(level), x_r, options_.harris_kappa);
-  const auto score_t =
-      corners_.score_at(current_->pyramid->level(level), x_t, options_.harris_kappa);
+  const DeviceImage& target = current_->pyramid->level(level);
+  const auto score_t = corners_.score_at(target, x_t, options_.harris_kappa);
   std::size_t next = 0;
   for (std::size_t i = 0; i < queries.size(); ++i)
     std::erase_if(candidates[i], [&](const SearchCandidate&) {
-      const float weak = score_t[next++].lambda_min;  // 0 at the border: nothing is known there
-      return weak > 0 && score_r[i].lambda_min > options_.corner_score_ratio * weak;
+      const Eigen::Vector2f& at = x_t[next];
+      return is_weak_corner(score_r[i].lambda_min, score_t[next++].lambda_min, at, target.width_px,
+                            target.height_px, options_.corner_score_ratio);
     });
 }
 

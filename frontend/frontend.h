@@ -25,7 +25,6 @@ struct FrontendCounts {
   int found = 0;              ///< by the bounded search
   int recovered = 0;          ///< by the wide search after it
   int epipolar_outliers = 0;  ///< found, but against the geometry of the others
-  int ended = 0;              ///< tracks that are gone
   int added = 0;              ///< new corners
 };
 

@@ -69,19 +69,24 @@ Expected<Found> find_devices() {
     cl::Platform::get(&platforms);
     for (const cl::Platform& platform : platforms) {
       std::vector<cl::Device> devices;
+      std::string name;
       try {
         platform.getDevices(CL_DEVICE_TYPE_ALL, &devices);
+        name = platform.getInfo<CL_PLATFORM_NAME>();
       } catch (const cl::Error& e) {
         // A driver without its hardware must not hide the other platforms.
         log().debug("OpenCL platform without devices: {} ({})", e.what(), e.err());
         continue;
       }
-      const std::string name = platform.getInfo<CL_PLATFORM_NAME>();
       for (const cl::Device& device : devices) {
-        if (device.getInfo<CL_DEVICE_AVAILABLE>() == CL_FALSE ||
-            device.getInfo<CL_DEVICE_COMPILER_AVAILABLE>() == CL_FALSE)
-          continue;
-        found.emplace_back(describe(device, name, static_cast<int>(found.size())), device);
+        try {
+          if (device.getInfo<CL_DEVICE_AVAILABLE>() == CL_FALSE ||
+              device.getInfo<CL_DEVICE_COMPILER_AVAILABLE>() == CL_FALSE)
+            continue;
+          found.emplace_back(describe(device, name, static_cast<int>(found.size())), device);
+        } catch (const cl::Error& e) {  // nor one broken device the others
+          log().debug("OpenCL device that does not say what it is: {} ({})", e.what(), e.err());
+        }
       }
     }
   } catch (const cl::Error& e) {

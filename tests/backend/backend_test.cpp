@@ -244,6 +244,22 @@ TEST(Backend, WrongIntrinsicsConvergeTowardsTheTruth) {
   EXPECT_LT(refined.ate.rmse(), 0.6 * fixed.ate.rmse());
 }
 
+TEST(Backend, FlatRaysLeaveTheIntrinsicsAlone) {
+  Simulation s = sideways();
+  s.camera = test::pinhole_camera();
+  s.believed = s.camera;
+  s.believed.fx_px *= 1.03;
+  s.believed.fy_px *= 1.03;
+  // Far enough to start, not twice as far, which is where intrinsics begin to be refined.
+  s.path = [](double t) { return Pose(test::wobble(t, 0.05), {2 * t, 0, 0}); };
+  BackendOptions options;
+  options.start_min_parallax_rad = 0.05;
+  const Outcome r = run_backend(test::Simulator(s).fly(), true, 1, options);
+  ASSERT_GE(r.map->keyframes.size(), 6U);
+  EXPECT_EQ(r.map->camera->fx_px, s.believed.fx_px);
+  EXPECT_EQ(r.map->camera->distortion, s.believed.distortion);
+}
+
 /// Replaces the tracks of frames [from, to) by nothing, or by noise.
 void cover_lens(Flight* flight, std::size_t from, std::size_t to) {
   for (std::size_t i = from; i < to; ++i) flight->frames[i].observations.clear();

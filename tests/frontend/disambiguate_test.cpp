@@ -2,6 +2,7 @@
 
 #include "frontend/disambiguate/epipolar_constraint.h"
 #include "frontend/disambiguate/highest_scores.h"
+#include "frontend/disambiguate/weak_corners.h"
 
 namespace corvid {
 namespace {
@@ -36,6 +37,16 @@ TEST(HighestScores, AcceptsTheOneThatStandsOutAndAbstainsOnRepeatedPatterns) {
   EXPECT_EQ(sets.points[2].accepted, 0U);
   EXPECT_FALSE(sets.points[3].accepted);
   EXPECT_EQ(accept_highest_scores(sets, 1.1).accepted, 0);  // nothing new: the loop may end
+}
+
+TEST(WeakCorners, NothingIsWeakerThanATextureThatIsNotThere) {
+  constexpr int kWidth = 100, kHeight = 80;
+  const Eigen::Vector2f middle(50, 40), border(2, 40);
+  EXPECT_TRUE(is_weak_corner(100, 10, middle, kWidth, kHeight, 5));
+  EXPECT_FALSE(is_weak_corner(100, 30, middle, kWidth, kHeight, 5));
+  EXPECT_TRUE(is_weak_corner(100, 0, middle, kWidth, kHeight, 5)) << "a flat wall";
+  EXPECT_FALSE(is_weak_corner(100, 0, border, kWidth, kHeight, 5)) << "0 there: not known";
+  EXPECT_FALSE(is_weak_corner(0, 0, middle, kWidth, kHeight, 5));
 }
 
 TEST(EpipolarConstraint, ChoosesTheCandidateOnTheLineOnlyIfTheOthersAreFarFromIt) {

@@ -7,6 +7,7 @@
 #include <map>
 #include <numbers>
 
+#include "frontend/disambiguate/weak_corners.h"
 #include "replay/synthetic_flight.h"
 
 namespace corvid {
@@ -52,6 +53,24 @@ struct TruthErrors {
     return px.at(static_cast<std::size_t>(q * static_cast<double>(px.size() - 1)));
   }
 };
+
+TEST(WeakCorners, KnowWhereTheDetectorGivesScores) {
+  auto corners = CornerDetector::create(device());
+  auto pyramids = PyramidBuilder::create(device());
+  ASSERT_TRUE(corners && pyramids);
+  GreyImage image(40, 30);
+  for (int y = 0; y < 30; ++y)
+    for (int x = 0; x < 40; ++x)
+      image(x, y) = static_cast<std::uint8_t>((x * x * 7 + y * x * 3 + y * y * 5) % 251);
+  const auto pyramid = pyramids->build(image, 1, Lane::tracking);
+  std::vector<Eigen::Vector2f> points;
+  for (float y = 0; y < 30; y += 0.5F)
+    for (float x = 0; x < 40; x += 0.5F) points.emplace_back(x, y);
+  const auto scores = corners->score_at(pyramid->level(0), points, 0.04);
+  for (std::size_t i = 0; i < points.size(); ++i)
+    EXPECT_EQ(has_corner_score(points[i], 40, 30), scores[i].lambda_min > 0)
+        << points[i].transpose();
+}
 
 TEST(Frontend, TracksOfAFlightStayOnTheScene) {
   const SyntheticFlight flight(small_flight());
