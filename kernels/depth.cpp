@@ -12,7 +12,8 @@
 namespace corvid {
 namespace {
 
-constexpr int kPadding = 16;  // PAD of depth.cl
+constexpr int kPadding = 16;   // PAD of depth.cl
+constexpr int kBandRows = 16;  ///< of a refinement launch on a CPU
 constexpr int kMaxTemplate_px = 2 * kPadding - 1;
 
 int round_up(int n, int step) { return (n + step - 1) / step * step; }
@@ -57,11 +58,11 @@ void append_geometry(const Camera& reference, const SweepNeighbour& neighbour,
 
 /// One work-item per group of pixels. Few work-group shapes: PoCL compiles a kernel again for each.
 void launch(const Device& device, Lane lane, const cl::Kernel& kernel, int groups, int rows,
-            int planes = 1) {
+            int planes = 1, int first_row = 0) {
   const int x = device.info().gpu ? 32 : 8, y = device.info().gpu ? 8 : 1;
   const auto size = [](int n) { return static_cast<cl::size_type>(n); };
   device.queue(lane).enqueueNDRangeKernel(
-      kernel, cl::NullRange,
+      kernel, cl::NDRange(0, size(first_row), 0),
       cl::NDRange(size(round_up(groups, x)), size(round_up(rows, y)), size(planes)),
       cl::NDRange(size(x), size(y), 1));
 }
@@ -226,8 +227,12 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
       set_arguments(kernels_.refine, reference, images_.cl(), m, width, height, pitch, row,
                     geometry_.cl(), step, h, inverse_.cl(), score_.cl(), inverse_next_.cl(),
                     score_next_.cl());
-      launch(*device_, lane, kernels_.refine, groups, height);
-      queue.finish();
+      // On a CPU in bands of rows, so that no launch holds the device for long.
+      const int band = device_->info().gpu ? height : kBandRows;
+      for (int row_0 = 0; row_0 < height; row_0 += band) {
+        launch(*device_, lane, kernels_.refine, groups, std::min(band, height - row_0), 1, row_0);
+        queue.finish();
+      }
       std::swap(inverse_, inverse_next_);
       std::swap(score_, score_next_);
     }
