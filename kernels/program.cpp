@@ -44,7 +44,7 @@ struct Source {
   std::string text, id;  // id: identifies the text
 };
 
-Expected<Source> find_source(std::string_view name) {
+Expected<Source> find_file(std::string_view name) {
   if (const char* folder = std::getenv("CORVID_KERNEL_DIR"); folder != nullptr && *folder != 0) {
     const fs::path path = fs::path(folder) / (std::string(name) + ".cl");
     auto text = read_file(path);
@@ -57,6 +57,20 @@ Expected<Source> find_source(std::string_view name) {
   for (const EmbeddedKernel& kernel : embedded_kernels())
     if (kernel.name == name) return Source{std::string(kernel.source), std::string(kernel.sha256)};
   return fail(ErrorCode::not_found, "no such kernel", std::string(name));
+}
+
+// One file, or several joined by '+'.
+Expected<Source> find_source(std::string_view names) {
+  Source all;
+  while (true) {
+    const std::size_t end = names.find('+');
+    auto part = find_file(names.substr(0, end));
+    if (!part || (end == std::string_view::npos && all.id.empty())) return part;
+    all.text += part->text;
+    all.id += (all.id.empty() ? "" : "+") + part->id;
+    if (end == std::string_view::npos) return all;
+    names.remove_prefix(end + 1);
+  }
 }
 
 // File: magic, key, size and checksum on a line each, then the device's binary.

@@ -1,6 +1,7 @@
 #include "kernels/pyramid.h"
 
 #include <algorithm>
+#include <atomic>
 #include <utility>
 
 #include "kernels/launch.h"
@@ -15,24 +16,43 @@ std::size_t pixel_count(int width_px, int height_px) {
 
 }  // namespace
 
-DeviceImage allocate_image(const Device& device, int width_px, int height_px) {
+DeviceImage allocate_image(const Device& device, int width_px, int height_px, PixelFormat format) {
   CORVID_CHECK(width_px > 0 && height_px > 0, "an image has a size");
+  static std::atomic<std::uint64_t> images{0};
+  const std::size_t pixel_bytes = format == PixelFormat::grey8 ? 1 : sizeof(float);
   return on_device("image", [&] {
-    return DeviceImage{cl::Buffer(device.context(), CL_MEM_READ_WRITE,
-                                  pixel_count(width_px, height_px) + DeviceImage::kImagePadding),
-                       width_px, height_px};
+    return DeviceImage{
+        cl::Buffer(device.context(), CL_MEM_READ_WRITE,
+                   pixel_count(width_px, height_px) * pixel_bytes + DeviceImage::kImagePadding),
+        width_px, height_px, format, ++images};
   });
 }
 
-DeviceImage upload(const Device& device, const GreyImage& image, Lane lane) {
-  DeviceImage out = allocate_image(device, image.width(), image.height());
+namespace {
+
+template <class Pixel>
+DeviceImage upload_pixels(const Device& device, const Image<Pixel>& image, PixelFormat format,
+                          Lane lane) {
+  DeviceImage out = allocate_image(device, image.width(), image.height(), format);
   on_device("image upload", [&] {
-    device.queue(lane).enqueueWriteBuffer(out.pixels, CL_TRUE, 0, image.size(), image.data());
+    device.queue(lane).enqueueWriteBuffer(out.pixels, CL_TRUE, 0, image.size() * sizeof(Pixel),
+                                          image.data());
   });
   return out;
 }
 
+}  // namespace
+
+DeviceImage upload(const Device& device, const GreyImage& image, Lane lane) {
+  return upload_pixels(device, image, PixelFormat::grey8, lane);
+}
+
+DeviceImage upload(const Device& device, const FloatImage& image, Lane lane) {
+  return upload_pixels(device, image, PixelFormat::float32, lane);
+}
+
 GreyImage download(const Device& device, const DeviceImage& image, Lane lane) {
+  CORVID_CHECK(image.format == PixelFormat::grey8, "only grey8 images are copied back");
   GreyImage out(image.width_px, image.height_px);
   on_device("image download", [&] {
     device.queue(lane).enqueueReadBuffer(image.pixels, CL_TRUE, 0, out.size(), out.data());

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <vector>
@@ -10,20 +11,28 @@
 
 namespace corvid {
 
-/// An 8-bit image on the device, row-major, pitch = width. Made by allocate_image(): kernels read
-/// whole vectors, up to kImagePadding bytes past the last row.
+enum class PixelFormat { grey8, float32 };
+
+/// An image on the device, row-major, pitch = width. Made by allocate_image(): kernels read whole
+/// vectors, up to kImagePadding bytes past the last row. Its pixels do not change once it was
+/// filled: what is derived from it may be kept under its id.
 struct DeviceImage {
-  static constexpr int kImagePadding = 64;
+  static constexpr int kImagePadding = 512;
   cl::Buffer pixels;
   int width_px = 0, height_px = 0;
+  PixelFormat format = PixelFormat::grey8;
+  std::uint64_t id = 0;  ///< unique in the process; copies of this handle share it
 };
 
 /// An image of undefined content. Throws DeviceFault.
-[[nodiscard]] DeviceImage allocate_image(const Device& device, int width_px, int height_px);
+[[nodiscard]] DeviceImage allocate_image(const Device& device, int width_px, int height_px,
+                                         PixelFormat format = PixelFormat::grey8);
 /// Copies to the device; done on return. Throws DeviceFault.
 [[nodiscard]] DeviceImage upload(const Device& device, const GreyImage& image,
                                  Lane lane = Lane::tracking);
-/// Waits for the lane and copies back. Throws DeviceFault.
+[[nodiscard]] DeviceImage upload(const Device& device, const FloatImage& image,
+                                 Lane lane = Lane::tracking);
+/// Waits for the lane and copies a grey8 image back. Throws DeviceFault.
 [[nodiscard]] GreyImage download(const Device& device, const DeviceImage& image,
                                  Lane lane = Lane::tracking);
 
