@@ -68,19 +68,42 @@ inline float sum_lanes8(float8 v) { return sum_lanes4(v.s0123 + v.s4567); }
 #endif
 
 // Sums of products of neighbouring 16-bit integers, as a lane of 32 bits holds two.
-typedef short pairv __attribute__((ext_vector_type(2 * LANES)));
-#define PAIRS(v) __builtin_astype(v, pairv)
 #if defined(__AVX512BW__) && LANES == 16
-#define MULTIPLY_PAIRS(a, b) __builtin_ia32_pmaddwd512(PAIRS(a), PAIRS(b))
+#define MULTIPLY_PAIRS(a, b) __builtin_ia32_pmaddwd512(SHORTS(a), SHORTS(b))
 #elif defined(__AVX2__) && LANES == 8
-#define MULTIPLY_PAIRS(a, b) __builtin_ia32_pmaddwd256(PAIRS(a), PAIRS(b))
+#define MULTIPLY_PAIRS(a, b) __builtin_ia32_pmaddwd256(SHORTS(a), SHORTS(b))
 #elif defined(__SSE2__) && LANES == 4
-#define MULTIPLY_PAIRS(a, b) __builtin_ia32_pmaddwd128(PAIRS(a), PAIRS(b))
+#define MULTIPLY_PAIRS(a, b) __builtin_ia32_pmaddwd128(SHORTS(a), SHORTS(b))
+#endif
+#ifdef MULTIPLY_PAIRS
+typedef short shorts_t __attribute__((ext_vector_type(2 * LANES)));
+#define SHORTS(v) __builtin_astype(v, shorts_t)
 #else
 inline intv multiply_pairs(intv a, intv b) {
   return ((a << 16) >> 16) * ((b << 16) >> 16) + (a >> 16) * (b >> 16);
 }
 #define MULTIPLY_PAIRS(a, b) multiply_pairs(a, b)
+#endif
+
+// Whole vectors at any address. Where memory allows it a vector is moved in one piece: drivers cut
+// vload() and vstore() to pieces.
+#if defined(__x86_64__)
+typedef intv intv_anywhere __attribute__((aligned(2)));
+typedef floatv floatv_anywhere __attribute__((aligned(4)));
+typedef JOIN(short, LANES) shortv_anywhere __attribute__((aligned(2)));
+#define LOAD_PAIRS(p) (*(const intv_anywhere*)(p))
+#define STORE_SHORTS(v, p) *(shortv_anywhere*)(p) = JOIN(convert_short, LANES)(v)
+#define STORE_FLOATS(space, v, p) *(space floatv_anywhere*)(p) = (v)
+#else
+// Of 16-bit numbers that are not negative.
+inline intv load_pairs(const short* p) {
+  int pairs[LANES];
+  for (int k = 0; k < LANES; ++k) pairs[k] = p[2 * k] | (p[2 * k + 1] << 16);
+  return VLOAD(pairs);
+}
+#define LOAD_PAIRS(p) load_pairs(p)
+#define STORE_SHORTS(v, p) VSTORE(JOIN(convert_short, LANES)(v), p)
+#define STORE_FLOATS(space, v, p) VSTORE(v, p)
 #endif
 
 #define PAIRS_X ((TW + 1) / 2)

@@ -151,11 +151,6 @@ __kernel void templates(__global const PIXEL* restrict reference, int reference_
 #endif
 }
 
-// Some drivers cut vstore() to pieces.
-typedef JOIN(short, LANES) shortv __attribute__((aligned(2)));
-typedef floatv floatv_anywhere __attribute__((aligned(4)));
-#define STORE_SHORTS(v, p) *(shortv*)(p) = JOIN(convert_short, LANES)(v)
-
 // ---- denominators ----------------------------------------------------------------------------
 
 // 1 / sqrt(v), where v > 0 and normal, to 2e-7.
@@ -181,8 +176,6 @@ inline floatv inverse_root(floatv v) {
 #if EXACT_BOX
 // Sums over the footprints of candidates from sums over the rows of footprints; even candidates in
 // [0], odd in [1].
-typedef intv wordv __attribute__((aligned(2)));
-#define READ_PAIRS(p) (*(const wordv*)(p))
 #define LAST_PAIR ((TW & 1) != 0 ? 0x0000ffff : (int)0xffffffff)
 
 typedef struct {
@@ -198,7 +191,7 @@ inline RowSums row_sums(const short* p) {
 #pragma unroll
     for (int g = 0; g < PAIRS_X; ++g) {
       const int mask = g == PAIRS_X - 1 ? LAST_PAIR : (int)0xffffffff;
-      const intv pixels = READ_PAIRS(p + 2 * g + o) & mask;
+      const intv pixels = LOAD_PAIRS(p + 2 * g + o) & mask;
       s += MULTIPLY_PAIRS(pixels, (intv)(0x00010001));
       squares += MULTIPLY_PAIRS(pixels, pixels);
     }
@@ -332,8 +325,7 @@ typedef int tap_t;
 typedef intv accv;
 #define STORE_PATCH(v, p) STORE_SHORTS(v, p)
 #define ORIGIN(pixel) 0.0f
-typedef intv pairs_unaligned __attribute__((aligned(2)));
-#define READ_UNIT(p) (*(const pairs_unaligned*)(p))
+#define READ_UNIT(p) LOAD_PAIRS(p)
 #define ACCUMULATE(acc, s, w) acc += MULTIPLY_PAIRS(s, (intv)(w))
 #else
 #define OFFSETS 1
@@ -456,9 +448,10 @@ inline void score(__global const PIXEL* target, int width, const tap_t* taps, fl
 #endif
 #pragma unroll
         for (int o = 0; o < OFFSETS; ++o)
-          *(SCRATCH floatv_anywhere*)(out + r * out_pitch + left + o * LANES) =
-              coefficients(number[o], sum, factor, mean[o], inverse[o],
-                           columns - left - o * LANES);
+          STORE_FLOATS(SCRATCH,
+                       coefficients(number[o], sum, factor, mean[o], inverse[o],
+                                    columns - left - o * LANES),
+                       out + r * out_pitch + left + o * LANES);
       }
     }
   }
@@ -563,7 +556,7 @@ __kernel void pieces(__global const PIXEL* restrict target, int target_width,
       __global float* out = map + (size_t)(piece.y + y) * job->width + piece.x;
       int x = 0;
       for (; x + LANES <= piece.width; x += LANES) 
-        *(__global floatv_anywhere*)(out + x) = VLOAD(first + y * pitch + x);
+        STORE_FLOATS(__global, VLOAD(first + y * pitch + x), out + x);
       for (; x < piece.width; ++x) out[x] = first[y * pitch + x];
     }
     return;
