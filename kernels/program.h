@@ -30,4 +30,7 @@ struct EmbeddedKernel {
 [[nodiscard]] Expected<cl::Program> build_program(Device& device, std::string_view name,
                                                   const std::string& options = {});
 
+/// Identifies the sources that build_program() would take for a name. not_found as there.
+[[nodiscard]] Expected<std::string> program_id(std::string_view name);
+
 }  // namespace corvid
