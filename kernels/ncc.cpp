@@ -15,13 +15,15 @@
 namespace corvid {
 namespace {
 
-constexpr int kBoxRows = 32;  // BOX_ROWS of ncc_score.cl
-// Candidates of a piece: a strip of an image row by row on a CPU, whose cache holds its
-// coefficients; small tiles on a GPU.
+constexpr int kBoxRows = 32;  // BOX_ROWS of ncc_score.cl, SCORED_H of ncc_group.cl
+// Candidates of a piece, and candidate rows that a work-item does together: a strip of an image on
+// a CPU, whose cache holds its coefficients; a square in a GPU's local memory.
 struct PieceSize {
   int width, height, rows;
 };
-constexpr PieceSize kWidePiece{704, 32, 4}, kFinePiece{30, 6, 4};
+constexpr PieceSize kCpuPiece{704, 32, 4}, kGroupPiece{30, 30, 8};
+// Work-items of a group: SCORED_W * GROUP_ROWS of ncc_group.cl.
+constexpr int kGroup = (kGroupPiece.width + 2) * (kGroupPiece.height + 2) / kGroupPiece.rows;
 constexpr std::size_t kKeptDenominatorBytes = std::size_t{192} << 20;
 
 int height_of(const NccOptions& options) {
@@ -71,8 +73,8 @@ std::string weight_list(NccWeights kind, int side, const std::vector<double>& gi
   return fmt::format("{:.9e}f", fmt::join(weights, "f,"));
 }
 
-int vector_lanes(const Device& device) {
-  if (device.info().gpu) return 4;
+int vector_lanes(const Device& device, bool groups) {
+  if (groups) return 4;
   const cl_uint native = device.device().getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_INT>();
   return native >= 16 ? 16 : native >= 8 ? 8 : 4;
 }
@@ -95,23 +97,23 @@ FloatImage NccScores::download(Lane lane) const {
 }
 
 NccMatcher::NccMatcher(std::shared_ptr<Device> device, std::string extra_options,
-                       NccArithmetic arithmetic)
+                       NccVariant variant)
     : device_(std::move(device)),
       extra_options_(std::move(extra_options)),
-      arithmetic_(arithmetic),
-      gpu_(device_->info().gpu),
-      lanes_(vector_lanes(*device_)),
+      variant_(variant),
+      groups_(variant == NccVariant::by_device ? device_->info().gpu
+                                               : variant == NccVariant::group),
+      lanes_(vector_lanes(*device_, groups_)),
       device_jobs_(device_),
       device_pieces_(device_),
       device_maxima_(device_),
       templates_(device_),
-      scratch_(device_),
       device_tiles_(device_),
       device_results_(device_) {}
 
 Expected<NccMatcher> NccMatcher::create(std::shared_ptr<Device> device, std::string extra_options,
-                                        NccArithmetic arithmetic) {
-  NccMatcher matcher(std::move(device), std::move(extra_options), arithmetic);
+                                        NccVariant variant) {
+  NccMatcher matcher(std::move(device), std::move(extra_options), variant);
   if (auto ready = matcher.prepare({}); !ready) return tl::unexpected(ready.error());
   return matcher;
 }
@@ -122,19 +124,21 @@ Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, Pi
   const bool uniform = options.weights == NccWeights::uniform;
   const bool floats = format == PixelFormat::float32;
   const bool integer =
-      !floats && (arithmetic_ == NccArithmetic::by_device ? !gpu_ && multiplies_pairs()
-                                                          : arithmetic_ == NccArithmetic::integer);
-  const PieceSize piece = gpu_ ? kFinePiece : kWidePiece;
+      !floats && (variant_ == NccVariant::by_device ? !groups_ && multiplies_pairs()
+                                                    : variant_ == NccVariant::integer);
+  const PieceSize piece = groups_ ? kGroupPiece : kCpuPiece;
   const std::string key = fmt::format(
       "-DTW={} -DTH={} -DWEIGHTS_X={} -DWEIGHTS_Y={} -DLANES={} -DROWS={} -DPIECE_W={} "
-      "-DPIECE_H={}{}{}{}{}{}{}",
+      "-DPIECE_H={}{}{}{}{}{}",
       width, height, weight_list(options.weights, width, options.weights_x),
       weight_list(options.weights, height, options.weights_y), lanes_, piece.rows, piece.width,
       piece.height, uniform ? " -DUNIFORM" : "", floats ? " -DFLOAT_IMAGE" : "",
-      integer ? " -DINTEGER" : "", gpu_ ? "" : " -DLOCAL_SCRATCH",
-      extra_options_.empty() ? "" : " ", extra_options_);
+      integer ? " -DINTEGER" : "", extra_options_.empty() ? "" : " ", extra_options_);
   if (const auto found = kernels_.find(key); found != kernels_.end()) return &found->second;
-  const auto program = build_program(*device_, "ncc_common+ncc_score+ncc_peaks", key);
+  const auto program = build_program(*device_,
+                                     groups_ ? "ncc_common+ncc_templates+ncc_group+ncc_peaks"
+                                             : "ncc_common+ncc_templates+ncc_score+ncc_peaks",
+                                     key);
   if (!program) return tl::unexpected(program.error());
   const auto count = [](int n) { return static_cast<std::size_t>(n); };
   // STORED of ncc_common.cl.
@@ -193,6 +197,8 @@ bool NccMatcher::place(const NccJob& job, const DeviceImage& reference, const De
   if (!clip(job.window_x_px, job.radius_x_px, target.width_px, half_x, out.x, out.width) ||
       !clip(job.window_y_px, job.radius_y_px, target.height_px, half_y, out.y, out.height))
     return false;
+  if (std::int64_t{out.width} * out.height > std::numeric_limits<std::int32_t>::max())
+    throw DeviceFault("a search window has too many candidates", CL_INVALID_BUFFER_SIZE);
   out.reference_x = static_cast<std::int32_t>(std::floor(cx));
   out.reference_y = static_cast<std::int32_t>(std::floor(cy));
   out.fraction_x = static_cast<float>(cx - out.reference_x);
@@ -204,7 +210,7 @@ bool NccMatcher::place(const NccJob& job, const DeviceImage& reference, const De
 
 // Cuts the job into pieces of nearly equal size.
 void NccMatcher::add_job(DeviceJob job) {
-  const PieceSize most = gpu_ ? kFinePiece : kWidePiece;
+  const PieceSize most = groups_ ? kGroupPiece : kCpuPiece;
   const int across = divide_up(job.width, most.width), down = divide_up(job.height, most.height);
   const int width = divide_up(job.width, across), height = divide_up(job.height, down);
   job.first_piece = static_cast<std::int32_t>(piece_list_.size());
@@ -234,12 +240,10 @@ std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const Dev
                                          Lane lane) {
   Kernels& kernels = checked_kernels(reference, target, options);
   std::vector<NccResult> results(jobs.size());
-  const PieceSize most = gpu_ ? kFinePiece : kWidePiece;
+  const PieceSize most = groups_ ? kGroupPiece : kCpuPiece;
   const std::size_t job_bytes =
       sizeof(DeviceJob) + sizeof(NccResult) + kernels.stored_floats * sizeof(float);
-  const std::size_t piece_bytes =
-      sizeof(Piece) + sizeof(Maxima) +
-      (gpu_ ? static_cast<std::size_t>((most.width + 4) * (most.height + 2)) * sizeof(float) : 0);
+  const std::size_t piece_bytes = sizeof(Piece) + sizeof(Maxima);
 
   std::vector<std::size_t> batch;  // indices into jobs
   const auto flush = [&] {
@@ -295,7 +299,8 @@ NccMatcher::Denominators& NccMatcher::denominators(const Kernels& kernels,
     denominators_.splice(denominators_.begin(), denominators_, found);
     return denominators_.front();
   }
-  const int tiles = divide_up(target.width_px, 2 * lanes_) * divide_up(target.height_px, kBoxRows);
+  const int tiles =
+      divide_up(target.width_px, box_columns()) * divide_up(target.height_px, kBoxRows);
   denominators_.push_front({target.id, &kernels, Buffer<float>(device_), Buffer<float>(device_),
                             std::vector<bool>(static_cast<std::size_t>(tiles))});
   std::size_t bytes = 0;
@@ -312,7 +317,7 @@ NccMatcher::Denominators& NccMatcher::denominators(const Kernels& kernels,
 // Completes the kept denominators where the jobs need them.
 void NccMatcher::complete_denominators(Kernels& kernels, const DeviceImage& target,
                                        Denominators& kept, Lane lane) {
-  const int tile_width = 2 * lanes_;
+  const int tile_width = box_columns();
   const int first_x = kernels.width / 2, first_y = kernels.height / 2;
   const int tiles_x = divide_up(target.width_px - 2 * first_x, tile_width);
   std::vector<std::int32_t> missing;
@@ -339,8 +344,27 @@ void NccMatcher::complete_denominators(Kernels& kernels, const DeviceImage& targ
     set_arguments(kernels.denominators, target.pixels, target.width_px, target.height_px, tiles_x,
                   device_tiles_.cl(), static_cast<cl_int>(missing.size()), kept.means.cl(),
                   kept.inverses.cl());
-    launch_items(*device_, lane, kernels.denominators, static_cast<int>(missing.size()));
+    launch(kernels.denominators, static_cast<int>(missing.size()), lane);
   });
+}
+
+// Coefficients of the largest piece: a rim of one candidate and whole blocks; vectors are read from
+// one lane before the first.
+std::size_t NccMatcher::scratch_floats() const {
+  const int block = 2 * lanes_;
+  int most = 0;
+  for (const Piece& piece : piece_list_)
+    most =
+        std::max(most, divide_up(piece.width + 2, block) * block * (piece.height + 2) + 2 * block);
+  return static_cast<std::size_t>(most);
+}
+
+// Tiles or pieces: one per work-group of many on a GPU, one per work-item on a CPU.
+void NccMatcher::launch(const cl::Kernel& kernel, int count, Lane lane) const {
+  const auto group = static_cast<cl::size_type>(groups_ ? kGroup : 1);
+  device_->queue(lane).enqueueNDRangeKernel(kernel, cl::NullRange,
+                                            cl::NDRange(static_cast<cl::size_type>(count) * group),
+                                            cl::NDRange(group));
 }
 
 void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
@@ -354,32 +378,25 @@ void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
   device_pieces_.upload(piece_list_, lane);
   templates_.resize(jobs_.size() * kernels.stored_floats);
   device_maxima_.resize(piece_list_.size());
-  // A rim of one candidate and whole blocks; vectors are read from one lane before the first.
-  int scratch_floats = 0;
-  const int block = kernels.integer ? 2 * lanes_ : lanes_;
-  for (const Piece& piece : piece_list_)
-    scratch_floats = std::max(
-        scratch_floats, divide_up(piece.width + 2, block) * block * (piece.height + 2) + 2 * block);
-  if (gpu_) scratch_.resize(piece_list_.size() * static_cast<std::size_t>(scratch_floats));
   device_results_.resize(jobs_.size());
   results_.resize(jobs_.size());
   on_device("correlation", [&] {
     set_arguments(kernels.templates, reference.pixels, reference.width_px, reference.height_px,
                   device_jobs_.cl(), count, templates_.cl());
     launch_items(*device_, lane, kernels.templates, count);
-    const auto arguments = [&](const auto& scratch) {
+    const auto arguments = [&](const auto&... scratch) {
       set_arguments(kernels.pieces, target.pixels, target.width_px, device_jobs_.cl(),
                     device_pieces_.cl(), pieces, templates_.cl(),
                     kept != nullptr ? kept->means.cl() : templates_.cl(),
-                    kept != nullptr ? kept->inverses.cl() : templates_.cl(), scratch,
-                    scratch_floats, quality, map != nullptr ? 1 : 0,
-                    map != nullptr ? map->cl() : templates_.cl(), device_maxima_.cl());
+                    kept != nullptr ? kept->inverses.cl() : templates_.cl(), scratch..., quality,
+                    map != nullptr ? 1 : 0, map != nullptr ? map->cl() : templates_.cl(),
+                    device_maxima_.cl());
     };
-    if (gpu_)
-      arguments(scratch_.cl());
+    if (groups_)
+      arguments();
     else
-      arguments(cl::Local(static_cast<std::size_t>(scratch_floats) * sizeof(float)));
-    launch_items(*device_, lane, kernels.pieces, pieces);
+      arguments(cl::Local(scratch_floats() * sizeof(float)));
+    launch(kernels.pieces, pieces, lane);
     if (map != nullptr) {
       device_->queue(lane).finish();
       return;

@@ -62,9 +62,10 @@ struct NccOptions {
   std::size_t memory_budget_bytes = std::size_t{64} << 20;
 };
 
-/// How numerators are computed. integer: 16-bit integer taps, 32-bit sums, exact but for the taps'
-/// rounding (8-bit images on a CPU). real: single precision. Scores agree within 2e-5.
-enum class NccArithmetic { by_device, integer, real };
+/// How the work is done. integer: 16-bit integer taps and 32-bit sums, exact but for the taps'
+/// rounding, 8-bit images only (x86 CPUs). real: single precision, a strip per work-item (CPUs).
+/// group: single precision, a square per work-group (GPUs). Scores agree within 2e-5.
+enum class NccVariant { by_device, integer, real, group };
 
 /// Coefficients of one job on the pixel grid, on the device.
 struct NccScores {
@@ -92,10 +93,10 @@ struct NccScores {
 /// One owner. Same results in every run and for every memory budget.
 class NccMatcher {
  public:
-  /// @param extra_options, arithmetic  for tests: compiler options, another way of working.
-  [[nodiscard]] static Expected<NccMatcher> create(
-      std::shared_ptr<Device> device, std::string extra_options = {},
-      NccArithmetic arithmetic = NccArithmetic::by_device);
+  /// @param extra_options, variant  for tests: compiler options, another device's way of working.
+  [[nodiscard]] static Expected<NccMatcher> create(std::shared_ptr<Device> device,
+                                                   std::string extra_options = {},
+                                                   NccVariant variant = NccVariant::by_device);
 
   /// Builds the kernels of a template size ahead of its first match() (which would otherwise do
   /// so). Fails with invalid_argument if the options are out of range.
@@ -146,7 +147,7 @@ class NccMatcher {
     std::vector<bool> done;
   };
 
-  NccMatcher(std::shared_ptr<Device> device, std::string extra_options, NccArithmetic arithmetic);
+  NccMatcher(std::shared_ptr<Device> device, std::string extra_options, NccVariant variant);
   [[nodiscard]] static bool place(const NccJob& job, const DeviceImage& reference,
                                   const DeviceImage& target, const Kernels& kernels,
                                   DeviceJob& out);
@@ -157,14 +158,18 @@ class NccMatcher {
   Denominators& denominators(const Kernels& kernels, const DeviceImage& target);
   void complete_denominators(Kernels& kernels, const DeviceImage& target, Denominators& kept,
                              Lane lane);
+  /// Width of a tile of denominators.
+  [[nodiscard]] int box_columns() const { return groups_ ? 32 : 2 * lanes_; }
+  [[nodiscard]] std::size_t scratch_floats() const;
+  void launch(const cl::Kernel& kernel, int count, Lane lane) const;
   void run_batch(Kernels& kernels, const DeviceImage& reference, const DeviceImage& target,
                  const NccOptions& options, Buffer<float>* map, Lane lane);
 
   std::shared_ptr<Device> device_;
   std::string extra_options_;
-  NccArithmetic arithmetic_;
-  bool gpu_;
-  int lanes_;  // 32-bit numbers per vector
+  NccVariant variant_;
+  bool groups_;  // work is done by work-groups
+  int lanes_;    // 32-bit numbers per vector
   std::map<std::string, Kernels> kernels_;
   std::list<Denominators> denominators_;  // used last first
   std::vector<DeviceJob> jobs_;
@@ -173,7 +178,7 @@ class NccMatcher {
   Buffer<DeviceJob> device_jobs_;
   Buffer<Piece> device_pieces_;
   Buffer<Maxima> device_maxima_;
-  Buffer<float> templates_, scratch_;
+  Buffer<float> templates_;
   Buffer<std::int32_t> device_tiles_;
   Buffer<NccResult> device_results_;
 };

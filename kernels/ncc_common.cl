@@ -1,5 +1,5 @@
 // What the files of normalized cross-correlation share; they are built as one program, in the order
-// ncc_common, ncc_score, ncc_peaks.
+// ncc_common, ncc_templates, ncc_score (CPUs) or ncc_group (GPUs), ncc_peaks.
 //   C(x) = (s3 - s2 s4) / sqrt((s1 - s2^2) (s5 - s4^2)),   w: weights of sum 1
 //   s1 = sum w t^2, s2 = sum w t, s3 = sum w S t, s4 = sum w S, s5 = sum w S^2
 // The template is kept as t' = w (t - s2) / sqrt(s1 - s2^2), whose sum is zero but for rounding, so
@@ -7,8 +7,7 @@
 // Options: TW, TH template size (odd); WEIGHTS_X, WEIGHTS_Y its comma-separated 1-d weights, each of
 // sum 1 (w is their product); UNIFORM if they are all equal; FLOAT_IMAGE if pixels are floats, else
 // they are 8-bit; INTEGER for 16-bit integer numerators; LANES 32-bit numbers per vector (4, 8, 16);
-// ROWS candidate rows per register tile; PIECE_W, PIECE_H candidates of a piece at most;
-// LOCAL_SCRATCH if a piece's coefficients are kept in local memory.
+// ROWS candidate rows per register tile; PIECE_W, PIECE_H candidates of a piece at most.
 // Layout: images row-major, pitch = width, readable 512 bytes past the end. A stored template is
 // STORED floats: t' as TH rows of TEMPLATE_PITCH, zero past TW; then `sum` and `factor` with which
 // C = factor (numerator - sum s4) / sigma, sum NAN if the template has no variance; then the taps of
@@ -113,11 +112,17 @@ inline intv load_pairs(const short* p) {
 #define UNITS TW
 #endif
 
-#ifdef LOCAL_SCRATCH
-#define SCRATCH __local
+// Sums over a footprint are exact in integers.
+#if defined(UNIFORM) && !defined(FLOAT_IMAGE)
+#define EXACT_BOX 1  // integer sums
 #else
-#define SCRATCH __global
+#define EXACT_BOX 0
 #endif
+
+// Footprints of less variance have no score.
+#define MIN_WEIGHTED_VARIANCE 0.1f  // grey^2, of 8-bit images with weights
+#define MIN_RELATIVE_VARIANCE 1e-10f  // of the mean squared, of float images
+#define MIN_VARIANCE 1e-30f
 
 typedef struct {
   int reference_x, reference_y;  // pixel left above the template's centre

@@ -1,157 +1,6 @@
-// Templates, denominators, coefficients and their maxima; see ncc_common.cl.
-// Launch, one-dimensional: templates: x >= jobs; denominators: x >= tiles; pieces: x >= pieces.
-
-#define MIN_TEMPLATE_VARIANCE 0.01f  // grey^2, of 8-bit images
-#define MIN_WEIGHTED_VARIANCE 0.1f
-#define MIN_RELATIVE_VARIANCE 1e-10f  // of the mean squared, of float images
-#define MIN_VARIANCE 1e-30f
-
-// Four pixels of a row from x on; pixels are repeated past the border.
-#ifdef FLOAT_IMAGE
-inline float4 read4(__global const float* image, int width, int height, int x, int y) {
-  __global const float* row = image + (size_t)clamp(y, 0, height - 1) * width;
-  if (x >= 0 && x + 3 < width) return vload4(0, row + x);
-  const int last = width - 1;
-  return (float4)(row[clamp(x, 0, last)], row[clamp(x + 1, 0, last)], row[clamp(x + 2, 0, last)],
-                  row[clamp(x + 3, 0, last)]);
-}
-#else
-inline uint read4(__global const uchar* image, int width, int height, int x, int y) {
-  __global const uchar* row = image + (size_t)clamp(y, 0, height - 1) * width;
-  if (x >= 0 && x + 3 < width) return as_uint(vload4(0, row + x));
-  const int last = width - 1;
-  return as_uint((uchar4)(row[clamp(x, 0, last)], row[clamp(x + 1, 0, last)],
-                          row[clamp(x + 2, 0, last)], row[clamp(x + 3, 0, last)]));
-}
-#endif
-
-// LANES bicubic samples of the reference at (px, py), relative to the job's whole pixel.
-inline floatv sample(__global const PIXEL* reference, int width, int height,
-                     __global const Job* job, floatv px, floatv py) {
-  const floatv whole_x = floor(px), whole_y = floor(py);
-  const floatv fx = px - whole_x, fy = py - whole_y;
-  int left[LANES], top[LANES];
-  VSTORE(TO_INT(whole_x) + (job->reference_x - 1), left);
-  VSTORE(TO_INT(whole_y) + (job->reference_y - 1), top);
-  const floatv cx[4] = {CUBIC0(fx), CUBIC1(fx), CUBIC2(fx), CUBIC3(fx)};
-  const floatv cy[4] = {CUBIC0(fy), CUBIC1(fy), CUBIC2(fy), CUBIC3(fy)};
-  floatv value = 0;
-#pragma unroll
-  for (int j = 0; j < 4; ++j) {
-    floatv along = 0;
-#ifdef FLOAT_IMAGE
-    float columns[4][LANES];
-    for (int k = 0; k < LANES; ++k) {
-      const float4 four = read4(reference, width, height, left[k], top[k] + j);
-      columns[0][k] = four.x;
-      columns[1][k] = four.y;
-      columns[2][k] = four.z;
-      columns[3][k] = four.w;
-    }
-    for (int i = 0; i < 4; ++i) along += cx[i] * VLOAD(columns[i]);
-#else
-    uint words[LANES];
-    for (int k = 0; k < LANES; ++k)
-      words[k] = read4(reference, width, height, left[k], top[k] + j);
-    const uintv word = VLOAD(words);
-#pragma unroll
-    for (uint i = 0; i < 4; ++i) along += cx[i] * TO_FLOAT((word >> (8 * i)) & 255U);
-#endif
-    value += cy[j] * along;
-  }
-  return value;
-}
-
-// t' of a job. Returns its sum, or NAN if there is no variance.
-inline float make_template(__global const PIXEL* reference, int width, int height,
-                           __global const Job* job, float* t) {
-  const float a00 = job->warp[0], a01 = job->warp[1], a10 = job->warp[2], a11 = job->warp[3];
-  floatv sums = 0;
-  for (int v = 0; v < TH; ++v)
-    for (int c = 0; c < TEMPLATE_PITCH; c += LANES) {
-      // Lanes past the template repeat its last sample, with weight 0.
-      const floatv du = TO_FLOAT(min(LANE_INDEX + (c - HALF_W), (intv)(HALF_W)));
-      const float dv = (float)(v - HALF_H);
-      const floatv value = sample(reference, width, height, job,
-                                  job->fraction_x + a00 * du + a01 * dv,
-                                  job->fraction_y + a10 * du + a11 * dv);
-      sums += kWeightsY[v] * VLOAD(kWeightsX + c) * value;
-      VSTORE(value, t + v * TEMPLATE_PITCH + c);
-    }
-  const float mean = SUM_LANES(sums);
-  floatv variances = 0;
-  for (int v = 0; v < TH; ++v)
-    for (int c = 0; c < TEMPLATE_PITCH; c += LANES) {
-      const floatv d = VLOAD(t + v * TEMPLATE_PITCH + c) - mean;
-      const floatv wd = kWeightsY[v] * VLOAD(kWeightsX + c) * d;
-      variances += wd * d;
-      VSTORE(wd, t + v * TEMPLATE_PITCH + c);
-    }
-  const float variance = SUM_LANES(variances);
-#ifdef FLOAT_IMAGE
-  if (!(variance > fmax(MIN_RELATIVE_VARIANCE * mean * mean, MIN_VARIANCE) && isfinite(variance)))
-    return NAN;
-#else
-  if (!(variance >= MIN_TEMPLATE_VARIANCE)) return NAN;
-#endif
-  const float scale = 1.0f / sqrt(variance);
-  sums = 0;
-  for (int i = 0; i < TEMPLATE_SIZE; i += LANES) {
-    const floatv scaled = scale * VLOAD(t + i);
-    sums += scaled;
-    VSTORE(scaled, t + i);
-  }
-#ifdef CORVID_PLANT_FAULT
-  t[HALF_H * TEMPLATE_PITCH + HALF_W + 1] = 0.0f;
-#endif
-  return SUM_LANES(sums);
-}
-
-__kernel void templates(__global const PIXEL* restrict reference, int reference_width,
-                        int reference_height, __global const Job* restrict jobs, int count,
-                        __global float* restrict out) {
-  const int index = get_global_id(0);
-  if (index >= count) return;
-  __global float* mine = out + (size_t)index * STORED;
-  float t[TEMPLATE_SIZE];
-  const float sum = make_template(reference, reference_width, reference_height, jobs + index, t);
-  mine[SUM_AT] = sum;
-  mine[FACTOR_AT] = 1.0f;
-  if (isnan(sum)) return;
-  for (int i = 0; i < TEMPLATE_SIZE; i += LANES) VSTORE(VLOAD(t + i), mine + i);
-#ifdef INTEGER
-  // As fine as 16 bits, and 32 bits for the sum of 255 |tap|, allow.
-  floatv largest_lanes = 0, total_lanes = 0;
-  for (int i = 0; i < TEMPLATE_SIZE; i += LANES) {
-    const floatv size = fabs(VLOAD(t + i));
-    largest_lanes = fmax(largest_lanes, size);
-    total_lanes += size;
-  }
-  float largest = 0.0f, lanes[LANES];
-  VSTORE(largest_lanes, lanes);
-  for (int i = 0; i < LANES; ++i) largest = fmax(largest, lanes[i]);
-  const float scale = fmin(32766.0f / largest, 8.0e6f / SUM_LANES(total_lanes));
-  int tap_sum = 0;
-  __global int* taps = (__global int*)(mine + TAPS_AT);
-  for (int v = 0; v < TH; ++v) {
-    int row[2 * PAIRS_X + LANES];
-    for (int c = 0; c < TEMPLATE_PITCH; c += LANES)
-      VSTORE(TO_INT(rint(scale * VLOAD(t + v * TEMPLATE_PITCH + c))), row + c);
-    if (TW == TEMPLATE_PITCH) row[TW] = 0;
-    for (int u = 0; u < PAIRS_X; ++u) {
-      tap_sum += row[2 * u] + row[2 * u + 1];
-      taps[v * PAIRS_X + u] = (row[2 * u] & 0xffff) | (row[2 * u + 1] << 16);
-    }
-  }
-  mine[SUM_AT] = (float)tap_sum;
-  mine[FACTOR_AT] = 1.0f / scale;
-#else
-  for (int v = 0; v < TH; ++v)
-    for (int u = 0; u < TW; ++u) mine[TAPS_AT + v * TW + u] = t[v * TEMPLATE_PITCH + u];
-#endif
-}
-
-// ---- denominators ----------------------------------------------------------------------------
+// Denominators, coefficients and their maxima on a CPU; see ncc_common.cl. A work-item does a piece:
+// a strip whose coefficients stay in its core's cache.
+// Launch, one-dimensional: denominators: x >= tiles; pieces: x >= pieces.
 
 // 1 / sqrt(v), where v > 0 and normal, to 2e-7.
 inline floatv inverse_root(floatv v) {
@@ -167,11 +16,6 @@ inline floatv inverse_root(floatv v) {
 // Rows of a tile of the denominators, and columns.
 #define BOX_ROWS 32
 #define BOX_COLUMNS (2 * LANES)
-#if defined(UNIFORM) && !defined(FLOAT_IMAGE)
-#define EXACT_BOX 1  // integer sums
-#else
-#define EXACT_BOX 0
-#endif
 
 #if EXACT_BOX
 // Sums over the footprints of candidates from sums over the rows of footprints; even candidates in
@@ -388,7 +232,7 @@ inline void numerators(const patch_t* patch, const tap_t* taps, accv* out) {
 // target's pixel (x, y).
 inline void score(__global const PIXEL* target, int width, const tap_t* taps, float sum,
                   float factor, __global const float* means, __global const float* inverses, int x, int y, int columns, int rows,
-                  SCRATCH float* out, int out_pitch) {
+                  __local float* out, int out_pitch) {
   patch_t patch[PATCH_ROWS * PATCH_PITCH];
 #if FUSED_BOX
   RowSums box[SCORED_ROWS + TH - 1];
@@ -448,7 +292,7 @@ inline void score(__global const PIXEL* target, int width, const tap_t* taps, fl
 #endif
 #pragma unroll
         for (int o = 0; o < OFFSETS; ++o)
-          STORE_FLOATS(SCRATCH,
+          STORE_FLOATS(__local,
                        coefficients(number[o], sum, factor, mean[o], inverse[o],
                                     columns - left - o * LANES),
                        out + r * out_pitch + left + o * LANES);
@@ -460,7 +304,7 @@ inline void score(__global const PIXEL* target, int width, const tap_t* taps, fl
 // ---- maxima ----------------------------------------------------------------------------------
 
 // s: the coefficient of the piece's first candidate in rows of `pitch`.
-inline void find_maxima(__global const Job* job, const Piece* piece, SCRATCH const float* s,
+inline void find_maxima(__global const Job* job, const Piece* piece, __local const float* s,
                         int pitch, float quality, __global Maxima* out) {
   floatv best_lanes = NO_SCORE;
   for (int y = 0; y < piece->height; ++y)
@@ -485,7 +329,7 @@ inline void find_maxima(__global const Job* job, const Piece* piece, SCRATCH con
   const bool alone = reach_x == 0 && reach_y == 0;
   for (int y = y_begin; y < y_end && !alone; ++y)
     for (int x0 = x_begin; x0 < x_end; x0 += LANES) {
-      SCRATCH const float* p = s + y * pitch + x0;
+      __local const float* p = s + y * pitch + x0;
       const floatv c = VLOAD(p);
       intv candidate = c >= threshold && LANE_INDEX < x_end - x0;
       if (!any(candidate)) continue;
@@ -521,7 +365,7 @@ __kernel void pieces(__global const PIXEL* restrict target, int target_width,
                      __global const Job* restrict jobs, __global const Piece* restrict list,
                      int count, __global const float* restrict stored,
                      __global const float* restrict means, __global const float* restrict inverses,
-                     SCRATCH float* scratch, int scratch_floats, float quality, int wants_map,
+                     __local float* scratch, float quality, int wants_map,
                      __global float* restrict map, __global Maxima* restrict maxima) {
   const int index = get_global_id(0);
   if (index >= count) return;
@@ -529,9 +373,6 @@ __kernel void pieces(__global const PIXEL* restrict target, int target_width,
   __global const Job* job = jobs + piece.job;
   __global const float* mine = stored + (size_t)piece.job * STORED;
   const float sum = mine[SUM_AT];
-#ifndef LOCAL_SCRATCH
-  scratch += (size_t)index * scratch_floats;
-#endif
   if (isnan(sum)) {
     maxima[index].best = NO_SCORE;
     maxima[index].count = 0;
@@ -550,7 +391,7 @@ __kernel void pieces(__global const PIXEL* restrict target, int target_width,
   const int pitch = ((columns + BLOCK - 1) / BLOCK) * BLOCK;
   score(target, target_width, taps, sum, mine[FACTOR_AT], means, inverses, job->x + x0, job->y + y0,
         columns, rows, scratch + LANES, pitch);
-  SCRATCH const float* first = scratch + LANES + (piece.y - y0) * pitch + piece.x - x0;
+  __local const float* first = scratch + LANES + (piece.y - y0) * pitch + piece.x - x0;
   if (wants_map) {
     for (int y = 0; y < piece.height; ++y) {
       __global float* out = map + (size_t)(piece.y + y) * job->width + piece.x;
