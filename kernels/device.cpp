@@ -7,6 +7,7 @@
 #include <cstdlib>
 
 #include "core/log.h"
+#include "kernels/tuning.h"
 #include "kernels/vendor_files.h"
 
 namespace corvid {
@@ -126,7 +127,8 @@ Device::Device(DeviceInfo info, const cl::Device& device)
       device_(device),
       context_(device),
       tracking_(context_, device),
-      mapping_(context_, device) {}
+      mapping_(context_, device),
+      tuning_(std::make_shared<Tuning>(info_)) {}
 
 Expected<std::shared_ptr<Device>> Device::open(std::string_view choice, int cpu_threads) {
   prepare_environment(cpu_threads);

@@ -27,6 +27,8 @@ class DeviceFault : public std::runtime_error {
   int code_;
 };
 
+class Tuning;
+
 struct DeviceInfo {
   int index = 0;  ///< what `--device N` means
   std::string name, vendor, platform, version;
@@ -65,6 +67,8 @@ class Device {
   [[nodiscard]] const cl::CommandQueue& queue(Lane lane) const {
     return lane == Lane::tracking ? tracking_ : mapping_;
   }
+  /// What was measured to be fastest here.
+  [[nodiscard]] Tuning& tuning() const { return *tuning_; }
 
  private:
   friend class ProgramStore;
@@ -74,6 +78,7 @@ class Device {
   cl::Device device_;
   cl::Context context_;
   cl::CommandQueue tracking_, mapping_;
+  std::shared_ptr<Tuning> tuning_;
   std::mutex programs_mutex_;
   std::map<std::string, cl::Program> programs_;  // by source, options
 };

@@ -1,6 +1,7 @@
 #include "kernels/ncc.h"
 
 #include <fmt/core.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
@@ -14,128 +15,190 @@
 namespace corvid {
 namespace {
 
-// Windows of at most this many candidates are done by one work-item on a CPU, from the template to
-// the peaks, while their coefficients are in its cache.
-constexpr int kSmallWindow = 40 * 40;
-constexpr int kWideTileRows = 32, kFineTileRows = 8;
+constexpr int kBoxRows = 32;  // BOX_ROWS of ncc_score.cl, SCORED_H of ncc_group.cl
+// Candidates of a piece, and candidate rows that a work-item does together: a strip of an image on
+// a CPU, whose cache holds its coefficients; a square in a GPU's local memory.
+struct PieceSize {
+  int width, height, rows;
+};
+constexpr PieceSize kCpuPiece{704, 32, 4}, kGroupPiece{30, 30, 8};
+// Work-items of a group: SCORED_W * GROUP_ROWS of ncc_group.cl.
+constexpr int kGroup = (kGroupPiece.width + 2) * (kGroupPiece.height + 2) / kGroupPiece.rows;
+constexpr std::size_t kKeptDenominatorBytes = std::size_t{192} << 20;
+
+int height_of(const NccOptions& options) {
+  return options.template_height_px == 0 ? options.template_px : options.template_height_px;
+}
 
 std::optional<Error> check_options(const NccOptions& options) {
   const auto error = [](std::string what) {
     return Error{ErrorCode::invalid_argument, std::move(what), "NccOptions", {}};
   };
-  if (options.template_px < 3 || options.template_px > 31 || options.template_px % 2 == 0)
-    return error(fmt::format("template_px is {}: an odd number from 3 to 31 is wanted",
-                             options.template_px));
+  for (const auto& [name, side] :
+       {std::pair{"template_px", options.template_px}, {"template_height_px", height_of(options)}})
+    if (side < 3 || side > 31 || side % 2 == 0)
+      return error(fmt::format("{} is {}: an odd number from 3 to 31 is wanted", name, side));
   if (!(options.peak_quality >= 0 && options.peak_quality <= 1))
     return error("peak_quality must be in [0, 1]");
   if (options.align_iterations < 0) return error("align_iterations must not be negative");
+  if (options.weights == NccWeights::separable) {
+    for (const auto& [name, list, side] :
+         {std::tuple{"weights_x", &options.weights_x, options.template_px},
+          {"weights_y", &options.weights_y, height_of(options)}}) {
+      if (static_cast<int>(list->size()) != side)
+        return error(
+            fmt::format("{} has {} numbers: the template has {}", name, list->size(), side));
+      // A ratio that single precision holds.
+      const auto [least, most] = std::minmax_element(list->begin(), list->end());
+      if (!std::all_of(list->begin(), list->end(), [](double w) { return std::isfinite(w); }) ||
+          !(*least > 0 && *most < 1e6 * *least))
+        return error(fmt::format("{} must be positive and within a factor of 1e6", name));
+    }
+  }
   return std::nullopt;
 }
 
 // 1-d weights of sum 1, as a compiler option.
-std::string weights(const NccOptions& options) {
-  const int half = options.template_px / 2;
-  const double sigma = options.template_px / 6.0;
-  const auto weight = [&](int i) {
-    return options.gaussian ? std::exp(-0.5 * i * i / (sigma * sigma)) : 1.0;
-  };
+std::string weight_list(NccWeights kind, int side, const std::vector<double>& given) {
+  std::vector<double> weights(static_cast<std::size_t>(side), 1.0);
+  const double sigma = side / 6.0;
   double sum = 0;
-  for (int i = -half; i <= half; ++i) sum += weight(i);
-  std::string list;
-  for (int i = -half; i <= half; ++i)
-    list += fmt::format("{}{:.9e}f", i == -half ? "" : ",", weight(i) / sum);
-  return list;
+  for (std::size_t i = 0; i < weights.size(); ++i) {
+    const double r = static_cast<double>(i) - side / 2;
+    if (kind == NccWeights::gaussian) weights[i] = std::exp(-0.5 * r * r / (sigma * sigma));
+    if (kind == NccWeights::separable) weights[i] = given[i];
+    sum += weights[i];
+  }
+  for (double& w : weights) w /= sum;
+  return fmt::format("{:.9e}f", fmt::join(weights, "f,"));
+}
+
+int vector_lanes(const Device& device, bool groups) {
+  if (groups) return 4;
+  const cl_uint native = device.device().getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_INT>();
+  return native >= 16 ? 16 : native >= 8 ? 8 : 4;
+}
+
+constexpr bool multiplies_pairs() {
+#if defined(__x86_64__)
+  return true;  // pmaddwd
+#else
+  return false;
+#endif
 }
 
 }  // namespace
 
-NccMatcher::NccMatcher(std::shared_ptr<Device> device, std::string extra_options, bool wide)
+FloatImage NccScores::download(Lane lane) const {
+  if (width_px == 0 || height_px == 0) return {};
+  FloatImage out(width_px, height_px);
+  scores.download({out.data(), out.size()}, 0, lane);
+  return out;
+}
+
+NccMatcher::NccMatcher(std::shared_ptr<Device> device, std::string extra_options,
+                       NccVariant variant)
     : device_(std::move(device)),
       extra_options_(std::move(extra_options)),
-      wide_(wide),
-      lanes_(wide ? 16 : 4),
+      variant_(variant),
+      groups_(variant == NccVariant::by_device ? device_->info().gpu
+                                               : variant == NccVariant::group),
+      lanes_(vector_lanes(*device_, groups_)),
       device_jobs_(device_),
-      device_tiles_(device_),
+      device_pieces_(device_),
+      device_maxima_(device_),
       templates_(device_),
-      scores_(device_),
+      device_tiles_(device_),
       device_results_(device_) {}
 
 Expected<NccMatcher> NccMatcher::create(std::shared_ptr<Device> device, std::string extra_options,
                                         NccVariant variant) {
-  const bool wide =
-      variant == NccVariant::by_device ? !device->info().gpu : variant == NccVariant::wide;
-  NccMatcher matcher(std::move(device), std::move(extra_options), wide);
+  NccMatcher matcher(std::move(device), std::move(extra_options), variant);
   if (auto ready = matcher.prepare({}); !ready) return tl::unexpected(ready.error());
   return matcher;
 }
 
-Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options) {
+Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, PixelFormat format) {
   if (auto error = check_options(options)) return tl::unexpected(std::move(*error));
-  const std::pair key(options.template_px, options.gaussian);
+  const int width = options.template_px, height = height_of(options);
+  const bool uniform = options.weights == NccWeights::uniform;
+  const bool floats = format == PixelFormat::float32;
+  const bool integer =
+      !floats && (variant_ == NccVariant::by_device ? !groups_ && multiplies_pairs()
+                                                    : variant_ == NccVariant::integer);
+  const PieceSize piece = groups_ ? kGroupPiece : kCpuPiece;
+  const std::string key = fmt::format(
+      "-DTW={} -DTH={} -DWEIGHTS_X={} -DWEIGHTS_Y={} -DLANES={} -DROWS={} -DPIECE_W={} "
+      "-DPIECE_H={}{}{}{}{}{}",
+      width, height, weight_list(options.weights, width, options.weights_x),
+      weight_list(options.weights, height, options.weights_y), lanes_, piece.rows, piece.width,
+      piece.height, uniform ? " -DUNIFORM" : "", floats ? " -DFLOAT_IMAGE" : "",
+      integer ? " -DINTEGER" : "", extra_options_.empty() ? "" : " ", extra_options_);
   if (const auto found = kernels_.find(key); found != kernels_.end()) return &found->second;
-  const auto program = build_program(
-      *device_, "ncc",
-      fmt::format("-DT={} -DWEIGHTS={} -DLANES={} -DROWS=4 -DTILE_ROWS={}{}{}{}",
-                  options.template_px, weights(options), lanes_,
-                  wide_ ? kWideTileRows : kFineTileRows, options.gaussian ? " -DGAUSSIAN" : "",
-                  extra_options_.empty() ? "" : " ", extra_options_));
+  const auto program = build_program(*device_,
+                                     groups_ ? "ncc_common+ncc_templates+ncc_group+ncc_peaks"
+                                             : "ncc_common+ncc_templates+ncc_score+ncc_peaks",
+                                     key);
   if (!program) return tl::unexpected(program.error());
+  const auto count = [](int n) { return static_cast<std::size_t>(n); };
+  // STORED of ncc_common.cl.
+  const std::size_t stored = count(height) * count(divide_up(width, lanes_) * lanes_) + 2 +
+                             count(height) * count(integer ? (width + 1) / 2 : width);
   return opening_on_device(*device_, [&] {
     const auto kernel = [&](const char* name) { return cl::Kernel(*program, name); };
     return &kernels_
-                .emplace(key, Kernels{kernel("small"), kernel("templates"), kernel("tiles"),
-                                      kernel("peaks")})
+                .emplace(key, Kernels{width, height, integer, integer && uniform, stored,
+                                      kernel("templates"), kernel("denominators"), kernel("pieces"),
+                                      kernel("finish")})
                 .first->second;
   });
 }
 
-Expected<void> NccMatcher::prepare(const NccOptions& options) {
-  const auto ready = kernels(options);
+Expected<void> NccMatcher::prepare(const NccOptions& options, PixelFormat format) {
+  const auto ready = kernels(options, format);
   if (!ready) return tl::unexpected(ready.error());
   // Drivers compile for a launch shape at its first use: not in front of the first frame.
   const auto warm = opening_on_device(*device_, [&] {
-    const DeviceImage image = upload(*device_, GreyImage(96, 96));
+    const DeviceImage image = format == PixelFormat::grey8 ? upload(*device_, GreyImage(96, 96))
+                                                           : upload(*device_, FloatImage(96, 96));
     NccJob job;
     job.template_x_px = job.template_y_px = 48;
     job.window_x_px = job.window_y_px = 48;
-    for (const int radius : {2, 48}) {
-      job.radius_x_px = job.radius_y_px = radius;
-      (void)match(image, image, {&job, 1}, options);
-    }
+    job.radius_x_px = job.radius_y_px = 4;
+    (void)match(image, image, std::vector(60, job), options);
     return true;
   });
   if (!warm) return tl::unexpected(warm.error());
   return {};
 }
 
-// TEMPLATE_FLOATS of ncc.cl.
-std::size_t NccMatcher::template_size(int template_px) const {
-  return static_cast<std::size_t>(template_px * divide_up(template_px, lanes_) * lanes_ + 1);
-}
-
 bool NccMatcher::place(const NccJob& job, const DeviceImage& reference, const DeviceImage& target,
-                       int template_px, DeviceJob& out) {
-  const double half = template_px / 2;
+                       const Kernels& kernels, DeviceJob& out) {
+  const int half_x = kernels.width / 2, half_y = kernels.height / 2;
   const double cx = job.template_x_px, cy = job.template_y_px;
   // The footprint is a parallelogram: it lies in the image if its corners do. False for NaN.
-  const double reach_x = half * (std::abs(double{job.warp[0]}) + std::abs(double{job.warp[1]}));
-  const double reach_y = half * (std::abs(double{job.warp[2]}) + std::abs(double{job.warp[3]}));
+  const double reach_x =
+      half_x * std::abs(double{job.warp[0]}) + half_y * std::abs(double{job.warp[1]});
+  const double reach_y =
+      half_x * std::abs(double{job.warp[2]}) + half_y * std::abs(double{job.warp[3]});
   if (!(cx - reach_x >= 0 && cx + reach_x <= reference.width_px - 1 && cy - reach_y >= 0 &&
         cy + reach_y <= reference.height_px - 1))
     return false;
   if (job.radius_x_px < 0 || job.radius_y_px < 0) return false;
-  const auto clip = [&](std::int64_t centre, std::int64_t radius, int size, std::int32_t& first,
-                        std::int32_t& count) {
-    const std::int64_t low = std::max<std::int64_t>(centre - radius, template_px / 2);
-    const std::int64_t high = std::min<std::int64_t>(centre + radius, size - 1 - template_px / 2);
+  const auto clip = [&](std::int64_t centre, std::int64_t radius, int size, int half,
+                        std::int32_t& first, std::int32_t& count) {
+    const std::int64_t low = std::max<std::int64_t>(centre - radius, half);
+    const std::int64_t high = std::min<std::int64_t>(centre + radius, size - 1 - half);
     if (high < low) return false;
     first = static_cast<std::int32_t>(low);
     count = static_cast<std::int32_t>(high - low + 1);
     return true;
   };
-  if (!clip(job.window_x_px, job.radius_x_px, target.width_px, out.x, out.width) ||
-      !clip(job.window_y_px, job.radius_y_px, target.height_px, out.y, out.height))
+  if (!clip(job.window_x_px, job.radius_x_px, target.width_px, half_x, out.x, out.width) ||
+      !clip(job.window_y_px, job.radius_y_px, target.height_px, half_y, out.y, out.height))
     return false;
+  if (std::int64_t{out.width} * out.height > std::numeric_limits<std::int32_t>::max())
+    throw DeviceFault("a search window has too many candidates", CL_INVALID_BUFFER_SIZE);
   out.reference_x = static_cast<std::int32_t>(std::floor(cx));
   out.reference_y = static_cast<std::int32_t>(std::floor(cy));
   out.fraction_x = static_cast<float>(cx - out.reference_x);
@@ -145,98 +208,205 @@ bool NccMatcher::place(const NccJob& job, const DeviceImage& reference, const De
   return true;
 }
 
-std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const DeviceImage& target,
-                                         std::span<const NccJob> jobs, const NccOptions& options,
-                                         Lane lane) {
-  const auto ready = kernels(options);
+// Cuts the job into pieces of nearly equal size.
+void NccMatcher::add_job(DeviceJob job) {
+  const PieceSize most = groups_ ? kGroupPiece : kCpuPiece;
+  const int across = divide_up(job.width, most.width), down = divide_up(job.height, most.height);
+  const int width = divide_up(job.width, across), height = divide_up(job.height, down);
+  job.first_piece = static_cast<std::int32_t>(piece_list_.size());
+  const auto index = static_cast<std::int32_t>(jobs_.size());
+  for (int y = 0; y < job.height; y += height)
+    for (int x = 0; x < job.width; x += width)
+      piece_list_.push_back(
+          {index, x, y, std::min(width, job.width - x), std::min(height, job.height - y)});
+  job.pieces = static_cast<std::int32_t>(piece_list_.size()) - job.first_piece;
+  jobs_.push_back(job);
+}
+
+NccMatcher::Kernels& NccMatcher::checked_kernels(const DeviceImage& reference,
+                                                 const DeviceImage& target,
+                                                 const NccOptions& options) {
+  CORVID_CHECK(reference.format == target.format, "images to correlate have one pixel format");
+  const auto ready = kernels(options, target.format);
   if (!ready) {
     CORVID_CHECK(ready.error().code == ErrorCode::device, ready.error().to_string());
     throw DeviceFault(ready.error().to_string(), CL_BUILD_PROGRAM_FAILURE);
   }
-  std::vector<NccResult> results(jobs.size());
-  const std::size_t template_floats = template_size(options.template_px);
-  constexpr std::size_t kMostFloats = std::numeric_limits<std::int32_t>::max();
+  return **ready;
+}
 
-  for (const bool small : {true, false}) {
-    std::vector<std::size_t> batch;  // indices into jobs
-    std::size_t floats = 0;
-    const auto flush = [&] {
-      if (batch.empty()) return;
-      scores_.resize(floats + static_cast<std::size_t>(2 * lanes_));
-      run_batch(**ready, reference, target, options, small, lane);
-      for (std::size_t i = 0; i < batch.size(); ++i) results[batch[i]] = results_[i];
-      batch.clear();
-      jobs_.clear();
-      floats = 0;
-    };
+std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const DeviceImage& target,
+                                         std::span<const NccJob> jobs, const NccOptions& options,
+                                         Lane lane) {
+  Kernels& kernels = checked_kernels(reference, target, options);
+  std::vector<NccResult> results(jobs.size());
+  const PieceSize most = groups_ ? kGroupPiece : kCpuPiece;
+  const std::size_t job_bytes =
+      sizeof(DeviceJob) + sizeof(NccResult) + kernels.stored_floats * sizeof(float);
+  const std::size_t piece_bytes = sizeof(Piece) + sizeof(Maxima);
+
+  std::vector<std::size_t> batch;  // indices into jobs
+  const auto flush = [&] {
+    if (batch.empty()) return;
+    run_batch(kernels, reference, target, options, nullptr, lane);
+    for (std::size_t i = 0; i < batch.size(); ++i) results[batch[i]] = results_[i];
+    batch.clear();
     jobs_.clear();
-    for (std::size_t i = 0; i < jobs.size(); ++i) {
-      DeviceJob placed{};
-      if (!place(jobs[i], reference, target, options.template_px, placed)) continue;
-      const bool is_small = wide_ && placed.width <= kSmallWindow / placed.height;
-      if (is_small != small) continue;
-      placed.pitch = divide_up(placed.width, lanes_) * lanes_;
-      const std::size_t needed =
-          static_cast<std::size_t>(placed.pitch) * static_cast<std::size_t>(placed.height) +
-          static_cast<std::size_t>(lanes_);
-      const std::size_t bytes =
-          (floats + needed) * sizeof(float) +
-          (jobs_.size() + 1) * (sizeof(DeviceJob) + sizeof(NccResult) +
-                                (small ? 0 : template_floats * sizeof(float)));
-      if (bytes > options.memory_budget_bytes || floats + needed > kMostFloats) flush();
-      if (needed > kMostFloats)
-        throw DeviceFault("a search window has too many candidates", CL_INVALID_BUFFER_SIZE);
-      placed.scores = static_cast<std::int32_t>(floats);
-      floats += needed;
-      jobs_.push_back(placed);
-      batch.push_back(i);
-    }
-    flush();
+    piece_list_.clear();
+  };
+  jobs_.clear();
+  piece_list_.clear();
+  for (std::size_t i = 0; i < jobs.size(); ++i) {
+    DeviceJob placed{};
+    if (!place(jobs[i], reference, target, kernels, placed)) continue;
+    const std::size_t new_pieces = static_cast<std::size_t>(divide_up(placed.width, most.width)) *
+                                   static_cast<std::size_t>(divide_up(placed.height, most.height));
+    if ((jobs_.size() + 1) * job_bytes + (piece_list_.size() + new_pieces) * piece_bytes >
+        options.memory_budget_bytes)
+      flush();
+    add_job(placed);
+    batch.push_back(i);
   }
+  flush();
   return results;
 }
 
+void NccMatcher::score(const DeviceImage& reference, const DeviceImage& target, const NccJob& job,
+                       const NccOptions& options, NccScores& out, Lane lane) {
+  Kernels& kernels = checked_kernels(reference, target, options);
+  out.x_px = out.y_px = out.width_px = out.height_px = 0;
+  out.scores.resize(0);
+  DeviceJob placed{};
+  if (!place(job, reference, target, kernels, placed)) return;
+  out.x_px = placed.x;
+  out.y_px = placed.y;
+  out.width_px = placed.width;
+  out.height_px = placed.height;
+  out.scores.resize(static_cast<std::size_t>(placed.width) *
+                    static_cast<std::size_t>(placed.height));
+  jobs_.clear();
+  piece_list_.clear();
+  add_job(placed);
+  run_batch(kernels, reference, target, options, &out.scores, lane);
+}
+
+NccMatcher::Denominators& NccMatcher::denominators(const Kernels& kernels,
+                                                   const DeviceImage& target) {
+  const auto found = std::find_if(denominators_.begin(), denominators_.end(), [&](const auto& d) {
+    return d.image == target.id && d.kernels == &kernels;
+  });
+  if (found != denominators_.end()) {
+    denominators_.splice(denominators_.begin(), denominators_, found);
+    return denominators_.front();
+  }
+  const int tiles =
+      divide_up(target.width_px, box_columns()) * divide_up(target.height_px, kBoxRows);
+  denominators_.push_front({target.id, &kernels, Buffer<float>(device_), Buffer<float>(device_),
+                            std::vector<bool>(static_cast<std::size_t>(tiles))});
+  std::size_t bytes = 0;
+  for (auto d = denominators_.begin(); d != denominators_.end(); ++d) {
+    bytes += 2 * sizeof(float) * d->means.size();
+    if (bytes > kKeptDenominatorBytes && d != denominators_.begin()) {
+      denominators_.erase(d, denominators_.end());
+      break;
+    }
+  }
+  return denominators_.front();
+}
+
+// Completes the kept denominators where the jobs need them.
+void NccMatcher::complete_denominators(Kernels& kernels, const DeviceImage& target,
+                                       Denominators& kept, Lane lane) {
+  const int tile_width = box_columns();
+  const int first_x = kernels.width / 2, first_y = kernels.height / 2;
+  const int tiles_x = divide_up(target.width_px - 2 * first_x, tile_width);
+  std::vector<std::int32_t> missing;
+  for (const DeviceJob& job : jobs_) {
+    const int right = (job.x + job.width - 1 - first_x) / tile_width;
+    const int bottom = (job.y + job.height - 1 - first_y) / kBoxRows;
+    for (int y = (job.y - first_y) / kBoxRows; y <= bottom; ++y)
+      for (int x = (job.x - first_x) / tile_width; x <= right; ++x) {
+        const int tile = y * tiles_x + x;
+        if (kept.done[static_cast<std::size_t>(tile)]) continue;
+        kept.done[static_cast<std::size_t>(tile)] = true;
+        missing.push_back(tile);
+      }
+  }
+  if (missing.empty()) return;
+  // Whole vectors are read: past the image's last pixel too.
+  const std::size_t floats =
+      static_cast<std::size_t>(target.width_px) * static_cast<std::size_t>(target.height_px) +
+      DeviceImage::kImagePadding;
+  kept.means.resize(floats);
+  kept.inverses.resize(floats);
+  device_tiles_.upload(missing, lane);
+  on_device("correlation", [&] {
+    set_arguments(kernels.denominators, target.pixels, target.width_px, target.height_px, tiles_x,
+                  device_tiles_.cl(), static_cast<cl_int>(missing.size()), kept.means.cl(),
+                  kept.inverses.cl());
+    launch(kernels.denominators, static_cast<int>(missing.size()), lane);
+  });
+}
+
+// Coefficients of the largest piece: a rim of one candidate and whole blocks; vectors are read from
+// one lane before the first.
+std::size_t NccMatcher::scratch_floats() const {
+  const int block = 2 * lanes_;
+  int most = 0;
+  for (const Piece& piece : piece_list_)
+    most =
+        std::max(most, divide_up(piece.width + 2, block) * block * (piece.height + 2) + 2 * block);
+  return static_cast<std::size_t>(most);
+}
+
+// Tiles or pieces: one per work-group of many on a GPU, one per work-item on a CPU.
+void NccMatcher::launch(const cl::Kernel& kernel, int count, Lane lane) const {
+  const auto group = static_cast<cl::size_type>(groups_ ? kGroup : 1);
+  device_->queue(lane).enqueueNDRangeKernel(kernel, cl::NullRange,
+                                            cl::NDRange(static_cast<cl::size_type>(count) * group),
+                                            cl::NDRange(group));
+}
+
 void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
-                           const DeviceImage& target, const NccOptions& options, bool small,
+                           const DeviceImage& target, const NccOptions& options, Buffer<float>* map,
                            Lane lane) {
-  const int count = static_cast<int>(jobs_.size());
+  const int count = static_cast<int>(jobs_.size()), pieces = static_cast<int>(piece_list_.size());
   const auto quality = static_cast<float>(options.peak_quality);
+  Denominators* const kept = kernels.fused_box ? nullptr : &denominators(kernels, target);
+  if (kept != nullptr) complete_denominators(kernels, target, *kept, lane);
   device_jobs_.upload(jobs_, lane);
+  device_pieces_.upload(piece_list_, lane);
+  templates_.resize(jobs_.size() * kernels.stored_floats);
+  device_maxima_.resize(piece_list_.size());
   device_results_.resize(jobs_.size());
   results_.resize(jobs_.size());
-  if (small) {
-    on_device("correlation", [&] {
-      set_arguments(kernels.small, reference.pixels, reference.width_px, reference.height_px,
-                    target.pixels, target.width_px, target.height_px, device_jobs_.cl(), count,
-                    scores_.cl(), quality, options.align_iterations, device_results_.cl());
-      launch_items(*device_, lane, kernels.small, count);
-    });
-  } else {
-    const int tile_rows = wide_ ? kWideTileRows : kFineTileRows;
-    tile_list_.clear();
-    for (int job = 0; job < count; ++job) {
-      const DeviceJob& placed = jobs_[static_cast<std::size_t>(job)];
-      for (int y = 0; y < placed.height; y += tile_rows)
-        for (int x = 0; x < placed.width; x += lanes_)
-          tile_list_.push_back({job, x, y, std::min(tile_rows, placed.height - y)});
+  on_device("correlation", [&] {
+    set_arguments(kernels.templates, reference.pixels, reference.width_px, reference.height_px,
+                  device_jobs_.cl(), count, templates_.cl());
+    launch_items(*device_, lane, kernels.templates, count);
+    const auto arguments = [&](const auto&... scratch) {
+      set_arguments(kernels.pieces, target.pixels, target.width_px, device_jobs_.cl(),
+                    device_pieces_.cl(), pieces, templates_.cl(),
+                    kept != nullptr ? kept->means.cl() : templates_.cl(),
+                    kept != nullptr ? kept->inverses.cl() : templates_.cl(), scratch..., quality,
+                    map != nullptr ? 1 : 0, map != nullptr ? map->cl() : templates_.cl(),
+                    device_maxima_.cl());
+    };
+    if (groups_)
+      arguments();
+    else
+      arguments(cl::Local(scratch_floats() * sizeof(float)));
+    launch(kernels.pieces, pieces, lane);
+    if (map != nullptr) {
+      device_->queue(lane).finish();
+      return;
     }
-    device_tiles_.upload(tile_list_, lane);
-    templates_.resize(jobs_.size() * template_size(options.template_px));
-    const int tiles = static_cast<int>(tile_list_.size());
-    on_device("correlation", [&] {
-      set_arguments(kernels.templates, reference.pixels, reference.width_px, reference.height_px,
-                    device_jobs_.cl(), count, templates_.cl());
-      launch_items(*device_, lane, kernels.templates, count);
-      set_arguments(kernels.tiles, target.pixels, target.width_px, device_jobs_.cl(),
-                    device_tiles_.cl(), tiles, templates_.cl(), scores_.cl());
-      launch_items(*device_, lane, kernels.tiles, tiles);
-      set_arguments(kernels.peaks, target.pixels, target.width_px, target.height_px,
-                    device_jobs_.cl(), count, templates_.cl(), scores_.cl(), quality,
-                    options.align_iterations, device_results_.cl());
-      launch_items(*device_, lane, kernels.peaks, count);
-    });
-  }
-  device_results_.download(results_, 0, lane);
+    set_arguments(kernels.finish, target.pixels, target.width_px, target.height_px,
+                  device_jobs_.cl(), count, templates_.cl(), device_maxima_.cl(), quality,
+                  options.align_iterations, device_results_.cl());
+    launch_items(*device_, lane, kernels.finish, count);
+  });
+  if (map == nullptr) device_results_.download(results_, 0, lane);
 }
 
 }  // namespace corvid

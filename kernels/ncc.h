@@ -2,11 +2,11 @@
 
 #include <array>
 #include <cstdint>
+#include <list>
 #include <map>
 #include <memory>
 #include <span>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "kernels/buffer.h"
@@ -17,7 +17,7 @@ namespace corvid {
 /// One template of the reference image and where to look for it in the target image.
 struct NccJob {
   float template_x_px = 0, template_y_px = 0;  ///< centre in the reference image, sub-pixel
-  /// Row-major 2x2 matrix A: the template's sample (u, v) is read, bilinearly, at centre + A (u,
+  /// Row-major 2x2 matrix A: the template's sample (u, v) is read, bicubically, at centre + A (u,
   /// v).
   float warp[4] = {1, 0, 0, 1};
   std::int32_t window_x_px = 0, window_y_px = 0;  ///< centre of the search window in the target
@@ -39,22 +39,42 @@ struct NccResult {
   float best_raw = -2;  ///< largest coefficient on the pixel grid, peak or not; -2: none was scored
 };
 
+/// Weights of a template's samples: products of a weight per column and one per row.
+enum class NccWeights {
+  uniform,
+  gaussian,   ///< exp(-r^2/(2 sigma^2)), sigma = side/6 along each axis
+  separable,  ///< those of NccOptions::weights_x, weights_y
+};
+
 struct NccOptions {
-  int template_px = 11;        ///< template side, odd, 3 to 31 (thesis 4.1)
+  int template_px = 11;        ///< template width, odd, 3 to 31 (thesis 4.1)
+  int template_height_px = 0;  ///< odd, 3 to 31; 0: as the width
   double peak_quality = 0.85;  ///< Q_m: peaks kept, share of the window's best (thesis 3.2)
-  bool gaussian = false;       ///< weights exp(-r^2/(2 sigma^2)), sigma = side/6; else uniform
+  NccWeights weights = NccWeights::uniform;
+  std::vector<double> weights_x, weights_y;  ///< separable: one per column and row, > 0, any sum
   /// Gauss-Newton steps that move a peak from the quadratic's vertex to the maximum of the
   /// correlation between the template and the interpolated target; 0: the vertex alone
   /// (thesis 3.2), which is biased by up to some 0.3 px where the texture is smooth.
   int align_iterations = 8;
-  /// Device memory for coefficients and jobs: batches are cut to it. A single job takes what it
-  /// needs even beyond it. Results do not depend on it.
+  /// Device memory for a batch of jobs (templates, maxima, results): batches are cut to it. A
+  /// single job takes what it needs even beyond it. The target's denominators, 8 bytes per pixel
+  /// and kept for the next call, come on top. Results do not depend on it.
   std::size_t memory_budget_bytes = std::size_t{64} << 20;
 };
 
-/// How the work is cut. wide: vectors of 16 candidates, a small window's whole job in one work-item
-/// (CPUs). fine: vectors of 4, many small tiles (GPUs). Scores agree up to rounding.
-enum class NccVariant { by_device, wide, fine };
+/// How the work is done. integer: 16-bit integer taps and 32-bit sums, exact but for the taps'
+/// rounding, 8-bit images only (x86 CPUs). real: single precision, a strip per work-item (CPUs).
+/// group: single precision, a square per work-group (GPUs). Scores agree within 2e-5.
+enum class NccVariant { by_device, integer, real, group };
+
+/// Coefficients of one job on the pixel grid, on the device.
+struct NccScores {
+  explicit NccScores(std::shared_ptr<Device> device) : scores(std::move(device)) {}
+  Buffer<float> scores;             ///< row-major, pitch = width_px; -2 where there is none
+  int x_px = 0, y_px = 0;           ///< the first candidate's centre in the target
+  int width_px = 0, height_px = 0;  ///< candidates; 0 if the job has none
+  [[nodiscard]] FloatImage download(Lane lane = Lane::tracking) const;
+};
 
 /// Normalized cross-correlation with peaks (algorithms.md 2):
 ///   C = (s3 - s2 s4) / sqrt((s1 - s2^2)(s5 - s4^2)), sums over the weighted template.
@@ -62,10 +82,14 @@ enum class NccVariant { by_device, wide, fine };
 /// A candidate whose template leaves the target, or whose footprint has no variance, has no score.
 /// Peaks are strict 3x3 maxima whose 8 neighbours all have scores (strict 1-d maxima with a
 /// parabola where a radius is 0), with score >= peak_quality times the window's best. A job whose
-/// template leaves the reference, has less variance than 0.01 grey^2, or whose numbers are not
-/// finite or negative gives count 0 and best_raw -2. With Gaussian weights footprints of less
-/// variance than 0.1 grey^2 count as without variance.
+/// template leaves the reference, has no variance, or whose numbers are not finite or negative
+/// gives count 0 and best_raw -2. No variance: in 8-bit images a template below 0.01 grey^2, and
+/// with weights a footprint below 0.1 grey^2; in float images below 1e-10 of the squared mean.
+/// Scores of NaN pixels are missing.
 ///
+/// s4 and s5 come from exact integer sums beside the numerators (uniform weights, integer
+/// arithmetic), or are computed once per image where a window needs them, and kept for the images
+/// used last (docs/decisions/correlation.md).
 /// One owner. Same results in every run and for every memory budget.
 class NccMatcher {
  public:
@@ -76,51 +100,86 @@ class NccMatcher {
 
   /// Builds the kernels of a template size ahead of its first match() (which would otherwise do
   /// so). Fails with invalid_argument if the options are out of range.
-  [[nodiscard]] Expected<void> prepare(const NccOptions& options);
+  [[nodiscard]] Expected<void> prepare(const NccOptions& options,
+                                       PixelFormat format = PixelFormat::grey8);
 
-  /// One result per job, in the jobs' order. Both images must be of this matcher's device.
-  /// Throws DeviceFault; std::logic_error if the options are out of range.
+  /// One result per job, in the jobs' order. Both images must be of this matcher's device and of
+  /// one format. Throws DeviceFault; std::logic_error if the options are out of range.
   [[nodiscard]] std::vector<NccResult> match(const DeviceImage& reference,
                                              const DeviceImage& target,
                                              std::span<const NccJob> jobs,
                                              const NccOptions& options, Lane lane = Lane::tracking);
 
+  /// The coefficients themselves. `out` is used again; done on return. Throws as match().
+  void score(const DeviceImage& reference, const DeviceImage& target, const NccJob& job,
+             const NccOptions& options, NccScores& out, Lane lane = Lane::tracking);
+
  private:
-  /// What a kernel reads of a job; the layout is that of ncc.cl.
+  /// What a kernel reads of a job; the layouts are those of ncc_common.cl.
   struct DeviceJob {
     std::int32_t reference_x, reference_y;  // pixel left above the template's centre
     float fraction_x, fraction_y;
     float warp[4];
     std::int32_t x, y, width, height;  // candidates in the target, clipped
     std::int32_t flat;                 // bit 0: maxima along x only, bit 1: along y only
-    std::int32_t scores, pitch;        // the job's place in the coefficients
+    std::int32_t first_piece, pieces;
+  };
+  struct Piece {
+    std::int32_t job, x, y, width, height;
+  };
+  struct Maxima {
+    float best;
+    std::int32_t count, place[4];
+    float around[4][9];
   };
   struct Kernels {
-    cl::Kernel small, templates, tiles, peaks;
+    int width, height;  // of the template
+    bool integer;
+    bool fused_box;  // denominators are computed with the coefficients
+    std::size_t stored_floats;
+    cl::Kernel templates, denominators, pieces, finish;
   };
-  struct Tile {
-    std::int32_t job, x, y, rows;
+  // Denominators of one image and template size; tiles are computed when they are first needed.
+  struct Denominators {
+    std::uint64_t image;
+    const Kernels* kernels;
+    Buffer<float> means, inverses;
+    std::vector<bool> done;
   };
 
-  NccMatcher(std::shared_ptr<Device> device, std::string extra_options, bool wide);
+  NccMatcher(std::shared_ptr<Device> device, std::string extra_options, NccVariant variant);
   [[nodiscard]] static bool place(const NccJob& job, const DeviceImage& reference,
-                                  const DeviceImage& target, int template_px, DeviceJob& out);
-  [[nodiscard]] std::size_t template_size(int template_px) const;
-  Expected<Kernels*> kernels(const NccOptions& options);
+                                  const DeviceImage& target, const Kernels& kernels,
+                                  DeviceJob& out);
+  Expected<Kernels*> kernels(const NccOptions& options, PixelFormat format);
+  Kernels& checked_kernels(const DeviceImage& reference, const DeviceImage& target,
+                           const NccOptions& options);
+  void add_job(DeviceJob job);
+  Denominators& denominators(const Kernels& kernels, const DeviceImage& target);
+  void complete_denominators(Kernels& kernels, const DeviceImage& target, Denominators& kept,
+                             Lane lane);
+  /// Width of a tile of denominators.
+  [[nodiscard]] int box_columns() const { return groups_ ? 32 : 2 * lanes_; }
+  [[nodiscard]] std::size_t scratch_floats() const;
+  void launch(const cl::Kernel& kernel, int count, Lane lane) const;
   void run_batch(Kernels& kernels, const DeviceImage& reference, const DeviceImage& target,
-                 const NccOptions& options, bool small, Lane lane);
+                 const NccOptions& options, Buffer<float>* map, Lane lane);
 
   std::shared_ptr<Device> device_;
   std::string extra_options_;
-  bool wide_;
-  int lanes_;  // candidates per vector
-  std::map<std::pair<int, bool>, Kernels> kernels_;
+  NccVariant variant_;
+  bool groups_;  // work is done by work-groups
+  int lanes_;    // 32-bit numbers per vector
+  std::map<std::string, Kernels> kernels_;
+  std::list<Denominators> denominators_;  // used last first
   std::vector<DeviceJob> jobs_;
-  std::vector<Tile> tile_list_;
+  std::vector<Piece> piece_list_;
   std::vector<NccResult> results_;
   Buffer<DeviceJob> device_jobs_;
-  Buffer<Tile> device_tiles_;
-  Buffer<float> templates_, scores_;
+  Buffer<Piece> device_pieces_;
+  Buffer<Maxima> device_maxima_;
+  Buffer<float> templates_;
+  Buffer<std::int32_t> device_tiles_;
   Buffer<NccResult> device_results_;
 };
 

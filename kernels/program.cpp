@@ -1,19 +1,15 @@
 #include "kernels/program.h"
 
 #include <fmt/core.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cstdlib>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <optional>
-#include <system_error>
 #include <vector>
 
 #include "core/log.h"
+#include "kernels/cache_file.h"
 #include "kernels/vendor_files.h"
 
 namespace corvid {
@@ -22,32 +18,14 @@ namespace {
 
 constexpr std::string_view kMagic = "corvid program 1";
 
-// FNV-1a, 64 bits: names files and detects damage; it need not resist an adversary.
-std::uint64_t fnv1a(std::string_view bytes) {
-  std::uint64_t hash = 14695981039346656037ULL;
-  for (const char c : bytes) {
-    hash ^= static_cast<unsigned char>(c);
-    hash *= 1099511628211ULL;
-  }
-  return hash;
-}
-
-std::optional<std::string> read_file(const fs::path& path) {
-  std::ifstream file(path, std::ios::binary);
-  if (!file) return std::nullopt;
-  std::string bytes{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
-  if (file.bad()) return std::nullopt;
-  return bytes;
-}
-
 struct Source {
   std::string text, id;  // id: identifies the text
 };
 
-Expected<Source> find_source(std::string_view name) {
+Expected<Source> find_file(std::string_view name) {
   if (const char* folder = std::getenv("CORVID_KERNEL_DIR"); folder != nullptr && *folder != 0) {
     const fs::path path = fs::path(folder) / (std::string(name) + ".cl");
-    auto text = read_file(path);
+    auto text = read_cache_file(path);
     if (!text)
       return fail(ErrorCode::not_found, "kernel source cannot be read", path.string(),
                   "unset CORVID_KERNEL_DIR to use the built-in kernels");
@@ -59,6 +37,20 @@ Expected<Source> find_source(std::string_view name) {
   return fail(ErrorCode::not_found, "no such kernel", std::string(name));
 }
 
+// One file, or several joined by '+'.
+Expected<Source> find_source(std::string_view names) {
+  Source all;
+  while (true) {
+    const std::size_t end = names.find('+');
+    auto part = find_file(names.substr(0, end));
+    if (!part || (end == std::string_view::npos && all.id.empty())) return part;
+    all.text += part->text;
+    all.id += (all.id.empty() ? "" : "+") + part->id;
+    if (end == std::string_view::npos) return all;
+    names.remove_prefix(end + 1);
+  }
+}
+
 // File: magic, key, size and checksum on a line each, then the device's binary.
 std::string file_header(std::string_view key, std::string_view binary) {
   return fmt::format("{}\n{}\n{} {:016x}\n", kMagic, key, binary.size(), fnv1a(binary));
@@ -66,7 +58,7 @@ std::string file_header(std::string_view key, std::string_view binary) {
 
 std::optional<std::vector<unsigned char>> load_binary(const fs::path& path,
                                                       const std::string& key) {
-  const auto bytes = read_file(path);
+  const auto bytes = read_cache_file(path);
   if (!bytes) return std::nullopt;
   // The header is rebuilt from the rest of the file: any damage makes the two differ.
   std::size_t start = 0;
@@ -84,22 +76,11 @@ std::optional<std::vector<unsigned char>> load_binary(const fs::path& path,
 }
 
 void store_binary(const fs::path& path, const std::string& key, const cl::Program& program) {
-  static std::atomic<unsigned> counter{0};
   const auto binaries = program.getInfo<CL_PROGRAM_BINARIES>();
   if (binaries.empty() || binaries[0].empty()) return;
   const std::string binary(binaries[0].begin(), binaries[0].end());
-  std::error_code error;
-  fs::create_directories(path.parent_path(), error);
-  const fs::path temporary = fmt::format("{}.{}.{}", path.string(), getpid(), counter++);
-  std::ofstream file(temporary, std::ios::binary);
-  file << file_header(key, binary) << binary;
-  file.close();
-  if (file) fs::rename(temporary, path, error);
-  if (!file || error) {
-    log().warn("{}: the program cache cannot be written ({})", path.string(),
-               error ? error.message() : "write failed");
-    fs::remove(temporary, error);
-  }
+  if (const auto error = write_cache_file(path, file_header(key, binary) + binary))
+    log().warn("{}: the program cache cannot be written ({})", path.string(), error.message());
 }
 
 std::string build_log(const cl::Program& program, const cl::Device& device) {
@@ -111,6 +92,12 @@ std::string build_log(const cl::Program& program, const cl::Device& device) {
 }
 
 }  // namespace
+
+Expected<std::string> program_id(std::string_view name) {
+  auto source = find_source(name);
+  if (!source) return tl::unexpected(source.error());
+  return std::move(source->id);
+}
 
 // Has access to the device's memory of programs.
 class ProgramStore {

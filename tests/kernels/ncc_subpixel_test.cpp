@@ -74,7 +74,7 @@ TEST(NccSubpixel, GaussianWeightsFindThemToo) {
   auto matcher = make<NccMatcher>();
   NccOptions options;
   options.template_px = 15;
-  options.gaussian = true;
+  options.weights = NccWeights::gaussian;
   const Texture texture(0.15, 22);
   for (const auto& [sx, sy] : kShifts) {
     const Errors e = errors_of_shift(matcher, texture, sx, sy, options);
@@ -99,7 +99,7 @@ TEST(NccSubpixel, AlignedPeaksAreMaximaOfTheOracle) {
   auto matcher = make<NccMatcher>();
   for (const bool gaussian : {false, true}) {
     NccOptions options;
-    options.gaussian = gaussian;
+    if (gaussian) options.weights = NccWeights::gaussian;
     const Texture texture(0.2, 24);
     const GreyImage reference = paint(120, 90, [&](int x, int y) { return texture(x, y); });
     const GreyImage target = paint(
@@ -117,7 +117,7 @@ TEST(NccSubpixel, AlignedPeaksAreMaximaOfTheOracle) {
       }
     const auto results = matcher.match(upload(*test_device(), reference),
                                        upload(*test_device(), target), jobs, options);
-    const auto w = oracle::ncc_weights(11, gaussian);
+    const auto w = oracle::ncc_weights(oracle::ncc_shape(11, 11, gaussian));
     constexpr float kIdentity[4] = {1, 0, 0, 1};
     int maxima = 0, found = 0;
     for (std::size_t i = 0; i < jobs.size(); ++i) {
@@ -125,10 +125,11 @@ TEST(NccSubpixel, AlignedPeaksAreMaximaOfTheOracle) {
       ++found;
       const NccPeak& p = results[i].peaks[0];
       const auto t = oracle::sample_template(reference, jobs[i].template_x_px,
-                                             jobs[i].template_y_px, kIdentity, 11);
+                                             jobs[i].template_y_px, kIdentity, 11, 11);
       const auto score = [&](double dx, double dy) {
         return *oracle::correlate(
-            t, oracle::sample_template(target, p.x_px + dx, p.y_px + dy, kIdentity, 11), w, 0, 0);
+            t, oracle::sample_template(target, p.x_px + dx, p.y_px + dy, kIdentity, 11, 11), w, 0,
+            0);
       };
       bool maximum = std::abs(score(0, 0) - p.score) < 1e-3;
       for (const auto& [dx, dy] : {std::pair{0.1, 0.}, {-0.1, 0.}, {0., 0.1}, {0., -0.1}})

@@ -9,13 +9,19 @@
 namespace corvid {
 namespace {
 
-// Largest difference to the oracle, over all levels; rounding alone makes 0.5.
-double worst_difference(PyramidBuilder& builder, const GreyImage& image, int levels) {
-  const auto pyramid = builder.build(image, levels);
+constexpr KernelKind kKinds[] = {KernelKind::cpu, KernelKind::gpu};
+
+GreyImage pixels(const DeviceImage& image, std::uint8_t) { return download(*test_device(), image); }
+FloatImage pixels(const DeviceImage& image, float) { return download_float(*test_device(), image); }
+
+// Largest difference to the oracle, over all levels; rounding alone makes 0.5 of 8-bit ones.
+template <class Pixel>
+double worst_difference(PyramidBuilder& builder, const Image<Pixel>& image, int levels) {
+  const auto pyramid = builder.build(upload(*test_device(), image), levels);
   double worst = 0;
-  GreyImage above = image;
+  Image<Pixel> above = image;
   for (int i = 0; i < pyramid->levels(); ++i) {
-    const GreyImage level = download(*test_device(), pyramid->level(i));
+    const Image<Pixel> level = pixels(pyramid->level(i), Pixel{});
     if (i == 0) {
       EXPECT_EQ(level, image);
       continue;
@@ -30,17 +36,78 @@ double worst_difference(PyramidBuilder& builder, const GreyImage& image, int lev
   return worst;
 }
 
+// The same grey levels, moved and scaled so that they are no integers.
+FloatImage as_float(const GreyImage& image) {
+  FloatImage out(image.width(), image.height());
+  for (std::size_t i = 0; i < out.size(); ++i)
+    out.data()[i] = 0.37F * static_cast<float>(image.data()[i]) - 20;
+  return out;
+}
+
 TEST(Pyramid, AgreesWithTheOracle) {
-  auto builder = make<PyramidBuilder>();
-  for (const auto& [width, height] : {std::pair{160, 120}, {97, 61}, {33, 200}, {131, 32}})
-    for (const auto& [name, image] : test_images(width, height))
-      EXPECT_LE(worst_difference(builder, image, 4), 0.5) << name << " " << width;
+  for (const KernelKind kind : kKinds) {
+    auto builder = make<PyramidBuilder>("", kind);
+    for (const auto& [width, height] :
+         {std::pair{160, 120}, {97, 61}, {33, 200}, {131, 32}, {32, 31}, {31, 33}})
+      for (const auto& [name, image] : test_images(width, height)) {
+        EXPECT_LE(worst_difference(builder, image, 4), 0.5) << name << " " << width;
+        EXPECT_LE(worst_difference(builder, as_float(image), 4), 2e-5) << name << " " << width;
+      }
+  }
+}
+
+TEST(Pyramid, EveryWidthAndHeightAgrees) {
+  auto builder = make<PyramidBuilder>("", KernelKind::cpu);
+  const GreyImage all = noise(200, 100);
+  for (int width = 31; width <= 200; ++width) {
+    const int height = 31 + width % 66;  // among them one band and several
+    const GreyImage image = paint(width, height, [&](int x, int y) { return all(x, y); });
+    EXPECT_LE(worst_difference(builder, image, 2), 0.5) << width << " x " << height;
+    EXPECT_LE(worst_difference(builder, as_float(image), 2), 2e-5) << width << " x " << height;
+  }
+}
+
+TEST(Pyramid, WhiteDoesNotOverflow) {
+  for (const KernelKind kind : kKinds) {
+    auto builder = make<PyramidBuilder>("", kind);
+    const auto pyramid = builder.build(GreyImage(300, 203, 255), 3);
+    for (int i = 0; i < 3; ++i) {
+      const DeviceImage& level = pyramid->level(i);
+      EXPECT_EQ(download(*test_device(), level), GreyImage(level.width_px, level.height_px, 255));
+    }
+  }
 }
 
 TEST(Pyramid, APlantedFaultIsFound) {
-  auto builder = make<PyramidBuilder>("-DCORVID_PLANT_FAULT");
-  for (const auto& [name, image] : test_images(160, 120))
-    EXPECT_GT(worst_difference(builder, image, 2), 0.5) << name;
+  for (const KernelKind kind : kKinds) {
+    auto builder = make<PyramidBuilder>("-DCORVID_PLANT_FAULT", kind);
+    for (const auto& [name, image] : test_images(160, 120)) {
+      EXPECT_GT(worst_difference(builder, image, 2), 0.5) << name;
+      EXPECT_GT(worst_difference(builder, as_float(image), 2), 2e-5) << name;
+    }
+  }
+}
+
+// One band ends where the next begins, at whatever speed the two are made.
+TEST(Pyramid, BandsDoNotTouchEachOther) {
+  auto builder = make<PyramidBuilder>("", KernelKind::cpu);
+  auto by_pixel = make<PyramidBuilder>("", KernelKind::gpu);
+  const GreyImage image = noise(801, 733);
+  const auto wanted = by_pixel.build(image, 4);
+  for (int run = 0; run < 10; ++run) {
+    const auto pyramid = builder.build(image, 4);
+    for (int i = 1; i < 4; ++i)
+      EXPECT_EQ(download(*test_device(), pyramid->level(i)),
+                download(*test_device(), wanted->level(i)));
+  }
+}
+
+TEST(Pyramid, ImagesAreCopiedBackInTheirFormat) {
+  const DeviceImage grey = upload(*test_device(), GreyImage(20, 20, 3));
+  const DeviceImage floats = upload(*test_device(), FloatImage(20, 20, 2.5F));
+  EXPECT_EQ(download_float(*test_device(), floats), FloatImage(20, 20, 2.5F));
+  EXPECT_THROW((void)download(*test_device(), floats), std::logic_error);
+  EXPECT_THROW((void)download_float(*test_device(), grey), std::logic_error);
 }
 
 TEST(Pyramid, LevelsHalveAndStopInTime) {

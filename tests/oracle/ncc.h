@@ -10,14 +10,31 @@
 
 namespace corvid::oracle {
 
-/// Weights of a size x size template, row-major, sum 1: uniform, or Gaussian of sigma = size / 6.
-inline std::vector<double> ncc_weights(int size, bool gaussian) {
+/// What a template looks like and how its samples are weighted.
+struct NccShape {
+  int width = 11, height = 11;
+  std::vector<double> weights_x, weights_y;  // any sum
+};
+
+inline std::vector<double> ncc_weights_1d(int size, bool gaussian) {
+  std::vector<double> w;
+  for (int u = -size / 2; u <= size / 2; ++u)
+    w.push_back(gaussian ? std::exp(-u * u / (2 * (size / 6.) * (size / 6.))) : 1);
+  return w;
+}
+
+/// Uniform, or Gaussian of sigma = side / 6.
+inline NccShape ncc_shape(int width, int height, bool gaussian) {
+  return {width, height, ncc_weights_1d(width, gaussian), ncc_weights_1d(height, gaussian)};
+}
+
+/// Row-major, sum 1.
+inline std::vector<double> ncc_weights(const NccShape& shape) {
   std::vector<double> w;
   double sum = 0;
-  for (int v = -size / 2; v <= size / 2; ++v)
-    for (int u = -size / 2; u <= size / 2; ++u) {
-      const double sigma = size / 6.;
-      w.push_back(gaussian ? std::exp(-(u * u + v * v) / (2 * sigma * sigma)) : 1);
+  for (const double y : shape.weights_y)
+    for (const double x : shape.weights_x) {
+      w.push_back(x * y);
       sum += w.back();
     }
   for (double& value : w) value /= sum;
@@ -33,7 +50,8 @@ inline double cubic(double x) {
 }
 
 /// Bicubic reading, pixels repeated past the border.
-inline double bicubic(const GreyImage& image, double x, double y) {
+template <class Pixel>
+double bicubic(const Image<Pixel>& image, double x, double y) {
   const int x0 = static_cast<int>(std::floor(x)), y0 = static_cast<int>(std::floor(y));
   double sum = 0;
   for (int j = y0 - 1; j <= y0 + 2; ++j)
@@ -43,12 +61,13 @@ inline double bicubic(const GreyImage& image, double x, double y) {
   return sum;
 }
 
-/// size x size samples, sample (u, v) at centre + A (u, v), A = {a00, a01, a10, a11}.
-inline std::vector<double> sample_template(const GreyImage& image, double x, double y,
-                                           const float (&A)[4], int size) {
+/// Sample (u, v) at centre + A (u, v), A = {a00, a01, a10, a11}.
+template <class Pixel>
+std::vector<double> sample_template(const Image<Pixel>& image, double x, double y,
+                                    const float (&A)[4], int width, int height) {
   std::vector<double> t;
-  for (int v = -size / 2; v <= size / 2; ++v)
-    for (int u = -size / 2; u <= size / 2; ++u)
+  for (int v = -height / 2; v <= height / 2; ++v)
+    for (int u = -width / 2; u <= width / 2; ++u)
       t.push_back(bicubic(image, x + A[0] * u + A[1] * v, y + A[2] * u + A[3] * v));
   return t;
 }
@@ -75,15 +94,24 @@ inline std::optional<double> correlate(const std::vector<double>& t, const std::
   return product / std::sqrt(mt.variance * ms.variance);
 }
 
-/// C with the template centred at the target's pixel (x, y); nothing if it leaves the target.
-inline std::optional<double> ncc_at(const std::vector<double>& t, const GreyImage& target, int x,
-                                    int y, int size, bool gaussian) {
-  const int half = size / 2;
-  if (x < half || y < half || x + half >= target.width() || y + half >= target.height()) return {};
-  constexpr float kIdentity[4] = {1, 0, 0, 1};
-  const auto w = ncc_weights(size, gaussian);
-  return correlate(t, sample_template(target, x, y, kIdentity, size), w, 0.01,
-                   gaussian ? 0.1 : 1e-9);
+/// C with the template centred at the target's pixel (x, y); nothing if it leaves the target, or if
+/// a variance is below what counts as none.
+template <class Pixel>
+std::optional<double> ncc_at(const std::vector<double>& t, const Image<Pixel>& target, int x, int y,
+                             const NccShape& shape, const std::vector<double>& w) {
+  const int half_x = shape.width / 2, half_y = shape.height / 2;
+  if (x < half_x || y < half_y || x + half_x >= target.width() || y + half_y >= target.height())
+    return {};
+  std::vector<double> s;
+  for (int v = -half_y; v <= half_y; ++v)
+    for (int u = -half_x; u <= half_x; ++u) s.push_back(target(x + u, y + v));
+  if constexpr (sizeof(Pixel) == 1) {
+    const bool uniform = w.front() > 0.999 / static_cast<double>(w.size());
+    return correlate(t, s, w, 0.01, uniform ? 1e-9 : 0.1);
+  }
+  const double mean = moments(s, w).mean, mean_t = moments(t, w).mean;
+  return correlate(t, s, w, std::max(1e-10 * mean_t * mean_t, 1e-30),
+                   std::max(1e-10 * mean * mean, 1e-30));
 }
 
 struct Peak {

@@ -8,7 +8,8 @@ namespace corvid::oracle {
 
 /// One level down: 5-tap binomial [1 4 6 4 1]/16 in both directions, border pixels repeated, even
 /// pixels kept. Not rounded.
-inline Image<double> halve(const GreyImage& in) {
+template <class Pixel>
+Image<double> halve(const Image<Pixel>& in) {
   const double b[5] = {1 / 16., 4 / 16., 6 / 16., 4 / 16., 1 / 16.};
   Image<double> out((in.width() + 1) / 2, (in.height() + 1) / 2);
   for (int y = 0; y < out.height(); ++y)
