@@ -30,6 +30,7 @@ Examples:
   corvid replay synthetic:seed=3 --out run --json | jq .state
   corvid export run --format ply                the mesh for MeshLab or CloudCompare
   corvid eval run/trajectory.txt ~/data/MH_05   error against the truth
+  corvid bench ncc --quick                      how fast is correlation here?
 
 Environment:
   CORVID_DEVICE      OpenCL device, as --device takes it
@@ -72,9 +73,22 @@ std::string quoted(const std::string& argument) {
   return text + "'";
 }
 
+// The command that the arguments name: the last of `bench ncc`. Null if they name none.
 const CLI::App* chosen(const CLI::App& app) {
   const auto parsed = app.get_subcommands();
-  return parsed.empty() ? nullptr : parsed.front();
+  if (parsed.empty()) return nullptr;
+  const CLI::App* deeper = chosen(*parsed.front());
+  return deeper == nullptr ? parsed.front() : deeper;
+}
+
+// " bench ncc", for help.
+std::string name_of(const CLI::App* command) {
+  if (command == nullptr || command->get_parent() == nullptr) return {};
+  return name_of(command->get_parent()) + " " + command->get_name();
+}
+
+std::vector<const CLI::App*> commands_of(const CLI::App& app) {
+  return app.get_subcommands([](const CLI::App*) { return true; });
 }
 
 // What an argument that nobody expected probably meant.
@@ -91,29 +105,24 @@ std::string unexpected_argument(const CLI::App& app, const std::string& argument
         for (const std::string& s : o->get_snames()) known.push_back("-" + s);
       }
     }
-  } else if (command == nullptr) {
-    for (const CLI::App* sub : app.get_subcommands([](const CLI::App*) { return true; })) {
+  } else {
+    for (const CLI::App* sub : commands_of(command == nullptr ? app : *command)) {
       known.push_back(sub->get_name());
     }
   }
-  const char* kind = option ? "option" : command == nullptr ? "command" : "argument";
+  const char* kind = option ? "option" : known.empty() ? "argument" : "command";
   std::string hint = nearest_hint(name, known);
-  if (hint.empty()) {
-    hint = fmt::format("`corvid{} --help` lists them",
-                       command == nullptr ? "" : " " + command->get_name());
-  }
+  if (hint.empty()) hint = fmt::format("`corvid{} --help` lists them", name_of(command));
   return fmt::format("unknown {} {} ({})", kind, argument, hint);
 }
 
 ExitCode usage(const CLI::App& app, const CLI::ParseError& error, Context& context) {
   const auto extras = app.remaining(true);
-  const CLI::App* command = chosen(app);
   if (!extras.empty()) {
     context.err << "error: " << unexpected_argument(app, extras.front()) << "\n";
   } else {
-    const std::string name = command == nullptr ? "" : " " + command->get_name();
     context.err << fmt::format("error: {} (`corvid{} --help` shows how it is used)\n", error.what(),
-                               name);
+                               name_of(chosen(app)));
   }
   return ExitCode::usage;
 }
@@ -137,12 +146,11 @@ ExitCode run(int argc, const char* const* argv, Context& context) {
   app.add_flag("-q,--quiet", context.quiet, "Warnings and errors only");
 
   std::vector<std::pair<const CLI::App*, Action>> commands;
-  for (auto* add :
-       {add_demo_command, add_replay_command, add_info_command, add_export_command,
-        add_eval_command, add_record_command, add_doctor_command, add_options_command}) {
+  for (auto* add : {add_demo_command, add_replay_command, add_info_command, add_export_command,
+                    add_eval_command, add_record_command, add_doctor_command, add_options_command,
+                    add_bench_command}) {
     Action action = add(app);
-    commands.emplace_back(app.get_subcommands([](const CLI::App*) { return true; }).back(),
-                          std::move(action));
+    commands.emplace_back(commands_of(app).back(), std::move(action));
   }
   try {
     app.parse(argc, argv);

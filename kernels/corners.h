@@ -44,13 +44,14 @@ struct CornerScoreImages {
 
 /// Interest points (algorithms.md 1): the structure tensor is summed from products of central
 /// differences with a 7x7 Gaussian window (sigma 1.5 px); corners are strict 3x3 maxima of
-/// lambda_min above quality * max whose Harris-Stephens score is positive.
+/// lambda_min above quality * max whose Harris-Stephens score is positive. Images are grey8.
 /// One owner. Methods throw DeviceFault. Results are the same in every run.
 class CornerDetector {
  public:
   /// @param extra_options  compiler options, for tests.
   [[nodiscard]] static Expected<CornerDetector> create(std::shared_ptr<Device> device,
-                                                       const std::string& extra_options = {});
+                                                       const std::string& extra_options = {},
+                                                       KernelKind kind = KernelKind::suited);
 
   /// The best corners spread over the image: cells give their best one first, then their second
   /// best, until max_count; in that order. Empty if the image is too small or has no texture.
@@ -72,11 +73,13 @@ class CornerDetector {
                                                   double kappa, Lane lane = Lane::tracking);
 
  private:
-  CornerDetector(std::shared_ptr<Device> device, const cl::Program& program);
+  CornerDetector(std::shared_ptr<Device> device, bool gpu, const cl::Program& program);
+  [[nodiscard]] int rows_each(const DeviceImage& image) const;
   void run_scores(const DeviceImage& image, double kappa, Lane lane);
 
   std::shared_ptr<Device> device_;
-  cl::Kernel columns_, scores_, maxima_, points_;
+  bool gpu_;
+  cl::Kernel columns_, scores_, maxima_, points_;  // columns_ and products_: of GPUs only
   Buffer<float> products_, lambda_min_, harris_;
   Buffer<int> state_;  // 0: bits of the largest lambda_min, 1: corners found
   Buffer<Corner> found_;

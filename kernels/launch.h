@@ -44,4 +44,13 @@ inline void launch_items(const Device& device, Lane lane, const cl::Kernel& kern
       cl::NDRange(static_cast<cl::size_type>(group)));
 }
 
+/// Rows of `width` pixels that one work-item of a CPU makes where it makes a band of rows: a few
+/// bands per core, so that a busy core does not keep the others waiting, but none with less work
+/// than it costs to wake a core.
+[[nodiscard]] inline int band_rows(const Device& device, int width, int height, int min_px) {
+  constexpr int kBandsPerUnit = 4;
+  return std::max(divide_up(height, kBandsPerUnit * std::max(device.info().compute_units, 1)),
+                  divide_up(min_px, width));
+}
+
 }  // namespace corvid

@@ -36,12 +36,12 @@ typedef struct {
   vector even, odd;  // of columns 2x and 2x + 1 for LANES columns x of the output
 } Columns;
 
+// Of float images the first and the second half of the columns, to be parted after the sum.
 inline Columns load_columns(__global const pixel* p) {
   Columns c;
 #ifdef FLOAT_IMAGE
-  const float16 a = *(__global const anywhere*)p, b = *(__global const anywhere*)(p + 16);
-  c.even = (float16)(a.even, b.even);
-  c.odd = (float16)(a.odd, b.odd);
+  c.even = *(__global const anywhere*)p;
+  c.odd = *(__global const anywhere*)(p + 16);
 #else
   const uint16 four = *(__global const anywhere*)p;
   c.even = four & 0x00ff00ffu;
@@ -65,6 +65,11 @@ inline Columns sum_rows(const Rows* r, int x) {
   Columns sum;
   sum.even = BINOMIAL(a.even, b.even, c.even, d.even, e.even);
   sum.odd = BINOMIAL(a.odd, b.odd, c.odd, d.odd, e.odd);
+#ifdef FLOAT_IMAGE
+  const Columns halves = sum;
+  sum.even = (float16)(halves.even.even, halves.odd.even);
+  sum.odd = (float16)(halves.even.odd, halves.odd.odd);
+#endif
   if (2 * (x + LANES) > r->width) {
     const int16 lane = (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
     const int evens = (r->width + 1) / 2 - x, odds = r->width / 2 - x;

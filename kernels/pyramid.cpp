@@ -14,14 +14,6 @@ std::size_t pixel_count(int width_px, int height_px) {
   return static_cast<std::size_t>(width_px) * static_cast<std::size_t>(height_px);
 }
 
-// Rows that one work-item of a CPU makes: a few bands per core, so that a busy core does not keep
-// the others waiting, but none with less work than it costs to wake a core.
-int band_rows(const Device& device, int width, int height) {
-  constexpr int kBandsPerUnit = 4, kMinBand_px = 8192;
-  return std::max(divide_up(height, kBandsPerUnit * device.info().compute_units),
-                  divide_up(kMinBand_px, width));
-}
-
 }  // namespace
 
 DeviceImage allocate_image(const Device& device, int width_px, int height_px, PixelFormat format) {
@@ -83,26 +75,22 @@ FloatImage download_float(const Device& device, const DeviceImage& image, Lane l
   return download_pixels<float>(device, image, lane);
 }
 
-PyramidBuilder::PyramidBuilder(std::shared_ptr<Device> device, bool gpu, cl::Kernel halve_grey8,
-                               cl::Kernel halve_float32)
-    : device_(std::move(device)),
-      gpu_(gpu),
-      halve_grey8_(std::move(halve_grey8)),
-      halve_float32_(std::move(halve_float32)) {}
+PyramidBuilder::PyramidBuilder(std::shared_ptr<Device> device, PixelFormat format, bool gpu,
+                               cl::Kernel halve)
+    : device_(std::move(device)), format_(format), gpu_(gpu), halve_(std::move(halve)) {}
 
 Expected<PyramidBuilder> PyramidBuilder::create(std::shared_ptr<Device> device,
-                                                const std::string& extra_options, KernelKind kind) {
-  const auto grey8 = build_program(*device, "pyramid", extra_options);
-  if (!grey8) return tl::unexpected(grey8.error());
-  const auto float32 = build_program(*device, "pyramid", "-DFLOAT_IMAGE " + extra_options);
-  if (!float32) return tl::unexpected(float32.error());
+                                                const std::string& extra_options,
+                                                PixelFormat format, KernelKind kind) {
+  const std::string options = format_options(format) + extra_options;
+  const auto program = build_program(*device, "pyramid", options);
+  if (!program) return tl::unexpected(program.error());
   return opening_on_device(*device, [&] {
     const bool gpu = for_gpu(kind, *device);
-    const char* name = gpu ? "halve_pixels" : "halve_bands";
-    PyramidBuilder builder(device, gpu, cl::Kernel(*grey8, name), cl::Kernel(*float32, name));
+    PyramidBuilder builder(device, format, gpu,
+                           cl::Kernel(*program, gpu ? "halve_pixels" : "halve_bands"));
     // Drivers compile for a launch shape at its first use: not in front of the first frame.
-    (void)builder.build(GreyImage(64, 48), 2);
-    (void)builder.build(upload(*device, FloatImage(64, 48)), 2);
+    (void)builder.build(allocate_image(*device, 64, 48, format), 2);
     return builder;
   });
 }
@@ -128,7 +116,8 @@ std::shared_ptr<const DevicePyramid> PyramidBuilder::build(const GreyImage& imag
 std::shared_ptr<const DevicePyramid> PyramidBuilder::build(const DeviceImage& image, int levels,
                                                            Lane lane) {
   CORVID_CHECK(levels >= 1, "a pyramid has at least one level");
-  cl::Kernel& halve = image.format == PixelFormat::grey8 ? halve_grey8_ : halve_float32_;
+  CORVID_CHECK(image.format == format_, "a pyramid builder is for one format of image");
+  constexpr int kMinBand_px = 8192;
   std::vector<DeviceImage> made{image};
   on_device("pyramid", [&] {
     while (static_cast<int>(made.size()) < levels) {
@@ -137,12 +126,13 @@ std::shared_ptr<const DevicePyramid> PyramidBuilder::build(const DeviceImage& im
       if (std::min(width, height) < kMinSide_px) break;
       DeviceImage out = allocate_image(*device_, width, height, image.format);
       if (gpu_) {
-        set_arguments(halve, in.pixels, in.width_px, in.height_px, out.pixels, width, height);
-        launch_rows(*device_, lane, halve, width, height);
+        set_arguments(halve_, in.pixels, in.width_px, in.height_px, out.pixels, width, height);
+        launch_rows(*device_, lane, halve_, width, height);
       } else {
-        const int rows = band_rows(*device_, width, height);
-        set_arguments(halve, in.pixels, in.width_px, in.height_px, out.pixels, width, height, rows);
-        launch_items(*device_, lane, halve, divide_up(height, rows));
+        const int rows = band_rows(*device_, width, height, kMinBand_px);
+        set_arguments(halve_, in.pixels, in.width_px, in.height_px, out.pixels, width, height,
+                      rows);
+        launch_items(*device_, lane, halve_, divide_up(height, rows));
       }
       made.push_back(std::move(out));
     }

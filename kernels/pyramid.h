@@ -63,9 +63,14 @@ enum class KernelKind { suited, cpu, gpu };
   return kind == KernelKind::suited ? device.info().gpu : kind == KernelKind::gpu;
 }
 
+/// The compiler option for kernels that serve both formats.
+[[nodiscard]] inline std::string format_options(PixelFormat format) {
+  return format == PixelFormat::float32 ? "-DFLOAT_IMAGE " : "";
+}
+
 /// Builds pyramids: 5-tap binomial filter [1 4 6 4 1]/16 in both directions, border pixels
 /// repeated, every other pixel kept (Burt and Adelson, "The Laplacian pyramid as a compact image
-/// code", 1983); 8-bit levels are rounded to nearest. The levels have the image's format.
+/// code", 1983); levels of grey8 images are rounded to nearest. One format of image per builder.
 /// One owner; build() may be called from one thread at a time.
 class PyramidBuilder {
  public:
@@ -74,6 +79,7 @@ class PyramidBuilder {
   /// @param extra_options  compiler options, for tests.
   [[nodiscard]] static Expected<PyramidBuilder> create(std::shared_ptr<Device> device,
                                                        const std::string& extra_options = {},
+                                                       PixelFormat format = PixelFormat::grey8,
                                                        KernelKind kind = KernelKind::suited);
 
   /// @param levels  >= 1; fewer are made if a level would become smaller than kMinSide_px.
@@ -81,15 +87,17 @@ class PyramidBuilder {
   [[nodiscard]] std::shared_ptr<const DevicePyramid> build(const GreyImage& image, int levels,
                                                            Lane lane = Lane::tracking);
   /// The same from an image that is on the device already; it becomes level 0 without a copy.
+  /// @pre  the builder's format.
   [[nodiscard]] std::shared_ptr<const DevicePyramid> build(const DeviceImage& image, int levels,
                                                            Lane lane = Lane::tracking);
 
  private:
-  PyramidBuilder(std::shared_ptr<Device> device, bool gpu, cl::Kernel halve_grey8,
-                 cl::Kernel halve_float32);
+  PyramidBuilder(std::shared_ptr<Device> device, PixelFormat format, bool gpu, cl::Kernel halve);
+
   std::shared_ptr<Device> device_;
+  PixelFormat format_;
   bool gpu_;
-  cl::Kernel halve_grey8_, halve_float32_;
+  cl::Kernel halve_;
 };
 
 }  // namespace corvid

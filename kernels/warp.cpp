@@ -1,8 +1,10 @@
 #include "kernels/warp.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <type_traits>
 #include <utility>
 
@@ -100,18 +102,35 @@ ColourImage remap(const ColourImage& source, const WarpMap& map) {
   return remap_on_host(source, map);
 }
 
-Warper::Warper(std::shared_ptr<Device> device, cl::Kernel kernel)
-    : device_(std::move(device)), kernel_(std::move(kernel)) {}
+Eigen::Matrix3d homography_between(const Camera& from, const Camera& to,
+                                   const Eigen::Matrix3d& R_from_to) {
+  CORVID_CHECK(from.model == CameraModel::pinhole && to.model == CameraModel::pinhole,
+               "only pinholes are related by a homography");
+  return from.K() * R_from_to * to.K().inverse();
+}
 
-Expected<Warper> Warper::create(std::shared_ptr<Device> device, const std::string& extra_options) {
-  const auto program = build_program(*device, "warp", extra_options);
+Warper::Warper(std::shared_ptr<Device> device, PixelFormat format, bool gpu,
+               const cl::Program& program)
+    : device_(std::move(device)),
+      format_(format),
+      gpu_(gpu),
+      remap_(program, "remap"),
+      homography_(program, "homography") {}
+
+Expected<Warper> Warper::create(std::shared_ptr<Device> device, const std::string& extra_options,
+                                PixelFormat format, KernelKind kind) {
+  const bool gpu = for_gpu(kind, *device);
+  const auto program =
+      build_program(*device, "warp",
+                    format_options(format) + (gpu ? "-DLANES=1 " : "-DLANES=16 ") + extra_options);
   if (!program) return tl::unexpected(program.error());
   return opening_on_device(*device, [&] {
-    Warper warper(device, cl::Kernel(*program, "warp"));
+    Warper warper(device, format, gpu, *program);
     // Drivers compile for a launch shape at its first use: not in front of the first frame.
-    const DeviceWarpMap map =
-        warper.upload(WarpMap::homography(Eigen::Matrix3d::Identity(), 32, 32));
-    (void)warper.remap(corvid::upload(*device, GreyImage(32, 32)), map);
+    const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
+    const DeviceImage image = allocate_image(*device, 32, 32, format);
+    (void)warper.remap(image, warper.upload(WarpMap::homography(I, 32, 32)));
+    (void)warper.warp(image, I, 32, 32);
     return warper;
   });
 }
@@ -128,15 +147,36 @@ DeviceWarpMap Warper::upload(const WarpMap& map, Lane lane) {
   });
 }
 
-DeviceImage Warper::remap(const DeviceImage& source, const DeviceWarpMap& map, Lane lane) {
-  DeviceImage out = allocate_image(*device_, map.width_px, map.height_px);
+template <class... Places>
+DeviceImage Warper::run(cl::Kernel& kernel, const DeviceImage& source, int width_px, int height_px,
+                        Lane lane, const Places&... places) {
+  constexpr int kMinBand_px = 4096;
+  CORVID_CHECK(source.format == format_, "a warper is for one format of image");
+  CORVID_CHECK(source.height_px <= std::numeric_limits<int>::max() / source.width_px - 1,
+               "places in the image are counted in int");
+  DeviceImage out = allocate_image(*device_, width_px, height_px, format_);
+  const int rows = gpu_ ? 1 : band_rows(*device_, width_px, height_px, kMinBand_px);
   on_device("warp", [&] {
-    set_arguments(kernel_, source.pixels, source.width_px, source.height_px, map.points, out.pixels,
-                  out.width_px, out.height_px);
-    launch_rows(*device_, lane, kernel_, map.width_px, map.height_px);
+    set_arguments(kernel, source.pixels, source.width_px, source.height_px, out.pixels, width_px,
+                  height_px, rows, places...);
+    if (gpu_)
+      launch_rows(*device_, lane, kernel, width_px, height_px);
+    else
+      launch_items(*device_, lane, kernel, divide_up(height_px, rows));
     device_->queue(lane).finish();
   });
   return out;
+}
+
+DeviceImage Warper::remap(const DeviceImage& source, const DeviceWarpMap& map, Lane lane) {
+  return run(remap_, source, map.width_px, map.height_px, lane, map.points);
+}
+
+DeviceImage Warper::warp(const DeviceImage& source, const Eigen::Matrix3d& H_source_warped,
+                         int width_px, int height_px, Lane lane) {
+  const Eigen::Matrix3d& H = H_source_warped;
+  return run(homography_, source, width_px, height_px, lane, H(0, 0), H(0, 1), H(0, 2), H(1, 0),
+             H(1, 1), H(1, 2), H(2, 0), H(2, 1), H(2, 2));
 }
 
 }  // namespace corvid

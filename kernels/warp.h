@@ -52,21 +52,41 @@ struct DeviceWarpMap {
   int width_px = 0, height_px = 0;
 };
 
-/// Bilinear warp on the device, 0 outside, rounded to nearest. One owner. Throws DeviceFault.
+/// The homography that WarpMap::between() is where both cameras are pinholes (rectified images):
+/// x_from ~ K_from R_from_to K_to^-1 x_to.
+/// @pre  both cameras are pinholes.
+[[nodiscard]] Eigen::Matrix3d homography_between(const Camera& from, const Camera& to,
+                                                 const Eigen::Matrix3d& R_from_to);
+
+/// Bilinear warp on the device, 0 outside; grey8 images are rounded to nearest. One format of image
+/// per warper. One owner; one thread at a time. Throws DeviceFault.
 class Warper {
  public:
   /// @param extra_options  compiler options, for tests.
   [[nodiscard]] static Expected<Warper> create(std::shared_ptr<Device> device,
-                                               const std::string& extra_options = {});
+                                               const std::string& extra_options = {},
+                                               PixelFormat format = PixelFormat::grey8,
+                                               KernelKind kind = KernelKind::suited);
   [[nodiscard]] DeviceWarpMap upload(const WarpMap& map, Lane lane = Lane::tracking);
   /// Done on return, so the image may be used in any lane.
   [[nodiscard]] DeviceImage remap(const DeviceImage& source, const DeviceWarpMap& map,
                                   Lane lane = Lane::tracking);
+  /// remap() by WarpMap::homography(H_source_warped, width_px, height_px), but the places are
+  /// computed on the device, so nothing but the matrix is sent. Done on return.
+  [[nodiscard]] DeviceImage warp(const DeviceImage& source, const Eigen::Matrix3d& H_source_warped,
+                                 int width_px, int height_px, Lane lane = Lane::tracking);
 
  private:
-  Warper(std::shared_ptr<Device> device, cl::Kernel kernel);
+  Warper(std::shared_ptr<Device> device, PixelFormat format, bool gpu, const cl::Program& program);
+  // Runs the kernel with what is common to both, then `places`.
+  template <class... Places>
+  DeviceImage run(cl::Kernel& kernel, const DeviceImage& source, int width_px, int height_px,
+                  Lane lane, const Places&... places);
+
   std::shared_ptr<Device> device_;
-  cl::Kernel kernel_;
+  PixelFormat format_;
+  bool gpu_;
+  cl::Kernel remap_, homography_;
 };
 
 }  // namespace corvid

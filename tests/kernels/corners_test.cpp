@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
 #include <set>
+#include <tuple>
 
 #include "kernels/test_device.h"
 #include "kernels/textures.h"
@@ -13,6 +15,7 @@ namespace {
 
 constexpr double kKappa = 0.04;
 constexpr int kReach = 4;
+constexpr KernelKind kKinds[] = {KernelKind::cpu, KernelKind::gpu};
 
 // Largest difference of the score images to the oracle, relative to the scale of the scores.
 double worst_difference(CornerDetector& detector, const GreyImage& image) {
@@ -36,22 +39,29 @@ double worst_difference(CornerDetector& detector, const GreyImage& image) {
 }
 
 TEST(Corners, ScoresAgreeWithTheOracle) {
-  auto detector = make<CornerDetector>();
-  for (const auto& [width, height] : {std::pair{133, 97}, {64, 40}, {17, 50}})
-    for (const auto& [name, image] : test_images(width, height))
-      EXPECT_LT(worst_difference(detector, image), 1e-3) << name << " " << width;
-}
-
-TEST(Corners, APlantedFaultIsFound) {
-  auto detector = make<CornerDetector>("-DCORVID_PLANT_FAULT");
-  for (const auto& [name, image] : test_images(133, 97)) {
-    if (name == "ramp") continue;  // its scores are nearly zero
-    EXPECT_GT(worst_difference(detector, image), 1e-3) << name;
+  for (const KernelKind kind : kKinds) {
+    auto detector = make<CornerDetector>("", kind);
+    for (const auto& [width, height] :
+         {std::pair{133, 97}, {64, 40}, {17, 50}, {9, 9}, {300, 70}, {144, 129}})
+      for (const auto& [name, image] : test_images(width, height))
+        EXPECT_LT(worst_difference(detector, image), 1e-3) << name << " " << width;
   }
 }
 
-TEST(Corners, AreTheStrictMaximaThatTheOracleFinds) {
-  auto detector = make<CornerDetector>();
+TEST(Corners, APlantedFaultIsFound) {
+  for (const KernelKind kind : kKinds) {
+    auto detector = make<CornerDetector>("-DCORVID_PLANT_FAULT", kind);
+    for (const auto& [name, image] : test_images(133, 97)) {
+      if (name == "ramp") continue;  // its scores are nearly zero
+      EXPECT_GT(worst_difference(detector, image), 1e-3) << name;
+    }
+  }
+}
+
+class CornersOfKind : public ::testing::TestWithParam<KernelKind> {};
+
+TEST_P(CornersOfKind, AreTheStrictMaximaThatTheOracleFinds) {
+  auto detector = make<CornerDetector>("", GetParam());
   for (const auto& [name, image] : test_images(133, 97)) {
     Image<double> lambda(image.width(), image.height());
     double largest = 0;
@@ -99,6 +109,65 @@ TEST(Corners, AreTheStrictMaximaThatTheOracleFinds) {
       EXPECT_GT(sure.size(), 30U);
     }
   }
+}
+
+INSTANTIATE_TEST_SUITE_P(Corners, CornersOfKind, ::testing::ValuesIn(kKinds));
+
+// Both kinds, at every width, and with a border: the same corners, strongest first.
+TEST(Corners, OfBothKindsOfKernelAreTheSame) {
+  auto cpu = make<CornerDetector>("", KernelKind::cpu);
+  auto gpu = make<CornerDetector>("", KernelKind::gpu);
+  std::size_t found = 0, unlike = 0;
+  for (int width = 11; width < 160; width += 4)
+    for (const int border : {0, 9}) {
+      const DeviceImage image = upload(*test_device(), noise(width, 170 - width));
+      const auto a = cpu.detect_all(image, 0.05, kKappa, border);
+      const auto b = gpu.detect_all(image, 0.05, kKappa, border);
+      found += a.size();
+      if (a.size() != b.size()) {  // by rounding, at the threshold
+        ++unlike;
+        continue;
+      }
+      for (std::size_t i = 0; i < a.size(); ++i) {
+        const float nearest =
+            std::min({a[i].x_px, a[i].y_px, width - 1 - a[i].x_px, 169 - width - a[i].y_px});
+        EXPECT_GE(nearest, std::max(border, kCornerMargin_px) - 1);
+        if (i > 0) {
+          EXPECT_LE(a[i].lambda_min, a[i - 1].lambda_min);
+        }
+        // In the same order but for those of nearly the same strength.
+        EXPECT_NEAR(a[i].lambda_min, b[i].lambda_min, 1e-4 * a[0].lambda_min);
+      }
+    }
+  EXPECT_GT(found, 1000U);
+  EXPECT_LE(unlike, 2U);
+}
+
+// Equal ones by their places, whatever order the device found them in.
+TEST(Corners, OfEqualStrengthAreOrderedByPlace) {
+  auto detector = make<CornerDetector>();
+  const GreyImage tile = noise(24, 20);
+  const GreyImage image =
+      paint(240, 200, [&](int x, int y) { return tile(x % tile.width(), y % tile.height()); });
+  const auto corners = detector.detect_all(upload(*test_device(), image), 0.01, kKappa);
+  ASSERT_GT(corners.size(), 500U);
+  std::size_t equal = 0;
+  for (std::size_t i = 1; i < corners.size(); ++i) {
+    const Corner &a = corners[i - 1], &b = corners[i];
+    ASSERT_GE(a.lambda_min, b.lambda_min);
+    if (a.lambda_min != b.lambda_min) continue;
+    ++equal;
+    EXPECT_LT(std::tuple(a.y_px, a.x_px), std::tuple(b.y_px, b.x_px));
+  }
+  EXPECT_GT(equal, 300U);
+}
+
+TEST(Corners, AreFoundInGreyImagesOnly) {
+  auto detector = make<CornerDetector>();
+  const DeviceImage image = upload(*test_device(), FloatImage(40, 40));
+  EXPECT_THROW((void)detector.detect(image, {}), std::logic_error);
+  EXPECT_THROW((void)detector.score_at(image, std::vector<Eigen::Vector2f>{{9, 9}}, kKappa),
+               std::logic_error);
 }
 
 TEST(Corners, ScoresAtPointsAreThoseOfTheImages) {
@@ -247,6 +316,17 @@ TEST(SelectEvenly, TakesHostileInput) {
   options.occupied = occupied;
   EXPECT_FALSE(select_evenly(corners, options).empty());
   EXPECT_TRUE(select_evenly({}, options).empty());
+  // Far from each other, and kept apart by more and by less than that.
+  const std::vector<Corner> far{{-9e5F, 0, 3, 1}, {9e5F, 9e5F, 2, 1}, {9e5F, 0, 1, 1}};
+  for (const double distance : {0., 1e-9, 4., 1e5}) {
+    options.min_distance_px = distance;
+    EXPECT_EQ(select_evenly(far, options).size(), 3U) << distance;
+  }
+  options.min_distance_px = HUGE_VAL;
+  EXPECT_EQ(select_evenly(far, options).size(), 1U);
+  options.min_distance_px = 4;
+  const std::vector<Corner> nowhere{{nan, 0, 3, 1}};
+  EXPECT_THROW((void)select_evenly(nowhere, options), std::logic_error);
   options.max_count = 0;
   EXPECT_TRUE(select_evenly(corners, options).empty());
   options.max_count = -5;

@@ -11,6 +11,11 @@ namespace {
 
 constexpr KernelKind kKinds[] = {KernelKind::cpu, KernelKind::gpu};
 
+PyramidBuilder make_builder(KernelKind kind, PixelFormat format = PixelFormat::grey8,
+                            const char* options = "") {
+  return make<PyramidBuilder>(options, format, kind);
+}
+
 GreyImage pixels(const DeviceImage& image, std::uint8_t) { return download(*test_device(), image); }
 FloatImage pixels(const DeviceImage& image, float) { return download_float(*test_device(), image); }
 
@@ -46,30 +51,31 @@ FloatImage as_float(const GreyImage& image) {
 
 TEST(Pyramid, AgreesWithTheOracle) {
   for (const KernelKind kind : kKinds) {
-    auto builder = make<PyramidBuilder>("", kind);
+    auto builder = make_builder(kind), floats = make_builder(kind, PixelFormat::float32);
     for (const auto& [width, height] :
          {std::pair{160, 120}, {97, 61}, {33, 200}, {131, 32}, {32, 31}, {31, 33}})
       for (const auto& [name, image] : test_images(width, height)) {
         EXPECT_LE(worst_difference(builder, image, 4), 0.5) << name << " " << width;
-        EXPECT_LE(worst_difference(builder, as_float(image), 4), 2e-5) << name << " " << width;
+        EXPECT_LE(worst_difference(floats, as_float(image), 4), 2e-5) << name << " " << width;
       }
   }
 }
 
 TEST(Pyramid, EveryWidthAndHeightAgrees) {
-  auto builder = make<PyramidBuilder>("", KernelKind::cpu);
+  auto builder = make_builder(KernelKind::cpu);
+  auto floats = make_builder(KernelKind::cpu, PixelFormat::float32);
   const GreyImage all = noise(200, 100);
   for (int width = 31; width <= 200; ++width) {
     const int height = 31 + width % 66;  // among them one band and several
     const GreyImage image = paint(width, height, [&](int x, int y) { return all(x, y); });
     EXPECT_LE(worst_difference(builder, image, 2), 0.5) << width << " x " << height;
-    EXPECT_LE(worst_difference(builder, as_float(image), 2), 2e-5) << width << " x " << height;
+    EXPECT_LE(worst_difference(floats, as_float(image), 2), 2e-5) << width << " x " << height;
   }
 }
 
 TEST(Pyramid, WhiteDoesNotOverflow) {
   for (const KernelKind kind : kKinds) {
-    auto builder = make<PyramidBuilder>("", kind);
+    auto builder = make_builder(kind);
     const auto pyramid = builder.build(GreyImage(300, 203, 255), 3);
     for (int i = 0; i < 3; ++i) {
       const DeviceImage& level = pyramid->level(i);
@@ -80,18 +86,19 @@ TEST(Pyramid, WhiteDoesNotOverflow) {
 
 TEST(Pyramid, APlantedFaultIsFound) {
   for (const KernelKind kind : kKinds) {
-    auto builder = make<PyramidBuilder>("-DCORVID_PLANT_FAULT", kind);
+    auto builder = make_builder(kind, PixelFormat::grey8, "-DCORVID_PLANT_FAULT");
+    auto floats = make_builder(kind, PixelFormat::float32, "-DCORVID_PLANT_FAULT");
     for (const auto& [name, image] : test_images(160, 120)) {
       EXPECT_GT(worst_difference(builder, image, 2), 0.5) << name;
-      EXPECT_GT(worst_difference(builder, as_float(image), 2), 2e-5) << name;
+      EXPECT_GT(worst_difference(floats, as_float(image), 2), 2e-5) << name;
     }
   }
 }
 
 // One band ends where the next begins, at whatever speed the two are made.
 TEST(Pyramid, BandsDoNotTouchEachOther) {
-  auto builder = make<PyramidBuilder>("", KernelKind::cpu);
-  auto by_pixel = make<PyramidBuilder>("", KernelKind::gpu);
+  auto builder = make_builder(KernelKind::cpu);
+  auto by_pixel = make_builder(KernelKind::gpu);
   const GreyImage image = noise(801, 733);
   const auto wanted = by_pixel.build(image, 4);
   for (int run = 0; run < 10; ++run) {
@@ -120,6 +127,8 @@ TEST(Pyramid, LevelsHalveAndStopInTime) {
   EXPECT_THROW((void)pyramid->level(3), std::logic_error);
   EXPECT_THROW((void)builder.build(GreyImage(64, 64), 0), std::logic_error);
   EXPECT_THROW((void)builder.build(GreyImage(), 2), std::logic_error);
+  const DeviceImage floats = upload(*test_device(), FloatImage(40, 40));
+  EXPECT_THROW((void)builder.build(floats, 2), std::logic_error);
   EXPECT_EQ(builder.build(GreyImage(1, 1, 5), 3)->levels(), 1);
 }
 

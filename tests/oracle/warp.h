@@ -8,7 +8,8 @@
 namespace corvid::oracle {
 
 /// Bilinear reading; nothing outside [0, width - 1] x [0, height - 1].
-inline std::optional<double> bilinear(const GreyImage& image, double x, double y) {
+template <class Pixel>
+std::optional<double> bilinear(const Image<Pixel>& image, double x, double y) {
   if (!(x >= 0 && y >= 0 && x <= image.width() - 1 && y <= image.height() - 1)) return {};
   double sum = 0;
   // Every pixel weighs max(0, 1 - |dx|) max(0, 1 - |dy|).

@@ -1,0 +1,41 @@
+#include "bench/machine.h"
+
+#include <fmt/format.h>
+
+#include <cstdlib>
+#include <fstream>
+#include <opencv2/core.hpp>
+#include <string>
+#include <thread>
+
+namespace corvid {
+namespace {
+
+std::string processor_name() {
+  std::ifstream file("/proc/cpuinfo");
+  for (std::string line; std::getline(file, line);) {
+    const auto colon = line.find(": ");
+    if (line.starts_with("model name") && colon != std::string::npos) return line.substr(colon + 2);
+  }
+  return "unknown processor";
+}
+
+}  // namespace
+
+BenchMachine bench_machine(const Device& device) {
+  BenchMachine machine;
+  machine.processor = processor_name();
+  machine.cores = static_cast<int>(std::thread::hardware_concurrency());
+  if (getloadavg(&machine.load_average, 1) != 1) machine.load_average = -1;
+  const DeviceInfo& info = device.info();
+  machine.device = fmt::format("{} ({})", info.name, info.platform);
+  machine.driver = device.device().getInfo<CL_DRIVER_VERSION>();
+  machine.gpu = info.gpu;
+  machine.compute_units = info.compute_units;
+  machine.opencv = CV_VERSION;
+  machine.compiler = CORVID_COMPILER;
+  machine.opencv_threads = cv::getNumThreads();
+  return machine;
+}
+
+}  // namespace corvid

@@ -1,0 +1,162 @@
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <csignal>
+#include <nlohmann/json.hpp>
+
+#include "program_fixture.h"
+
+namespace corvid {
+namespace {
+
+using nlohmann::json;
+using ::testing::AllOf;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+
+using BenchTest = ProgramTest;
+
+void expect_sane(const json& row) {
+  EXPECT_GT(row["corvid_ms"], 0) << row;
+  EXPECT_GT(row["opencv_ms"], 0) << row;
+  EXPECT_NEAR(row["ratio"].get<double>(),
+              row["opencv_ms"].get<double>() / row["corvid_ms"].get<double>(),
+              1e-6 * row["ratio"].get<double>());
+  EXPECT_GT(row["peak_gflops"], 0) << row;
+  EXPECT_GT(row["copy_gbytes_s"], 0) << row;
+}
+
+void expect_sane_rate(const json& row) {
+  const double products =
+      row["template_px"].get<double>() * row["template_height_px"].get<double>();
+  const double gflops =
+      2 * products * row["coefficients"].get<double>() / row["corvid_ms"].get<double>() * 1e-6;
+  EXPECT_NEAR(row["gflops"].get<double>(), gflops, 1e-6 * gflops) << row;
+  EXPECT_GT(row["share_of_peak"], 0) << row;
+  EXPECT_LE(row["share_of_peak"], 10) << row;
+}
+
+TEST_F(BenchTest, TheDenseGridComesAsTextAndAsRows) {
+  const std::string file = path("ncc.json");
+  const Ran ran = corvid_run({"bench", "ncc", "--quick", "--runs", "1", "--tables", "dense",
+                              "--templates", "3,5", "--images", "64,128", "--json", file});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.out, AllOf(HasSubstr("load average"), HasSubstr("driver"), HasSubstr("OpenCV"),
+                             HasSubstr("GFLOP/s"), HasSubstr("GB/s"), HasSubstr("TM_CCOEFF")));
+  EXPECT_THAT(ran.err, AllOf(HasSubstr("kernels for 3x3"), HasSubstr("5x5 in 128x128")));
+  const json rows = json::parse(read(file));
+  ASSERT_EQ(rows.size(), 4U);
+  std::size_t i = 0;
+  for (const int side : {64, 128}) {
+    for (const int size : {3, 5}) {
+      const json& row = rows[i++];
+      EXPECT_EQ(row["table"], "dense");
+      EXPECT_EQ(row["template_px"], size);
+      EXPECT_EQ(row["image_px"], side);
+      EXPECT_EQ(row["runs"], 1);
+      EXPECT_EQ(row["coefficients"], (side - size + 1) * (side - size + 1));
+      EXPECT_GT(row["upload_ms"], 0);
+      EXPECT_LT(row["largest_difference"], 5e-3) << "not the coefficients that OpenCV computes";
+      expect_sane(row);
+      expect_sane_rate(row);
+      EXPECT_THAT(ran.out, HasSubstr(fmt::format("{0}x{0}", size)));
+    }
+  }
+}
+
+TEST_F(BenchTest, BatchesAndFeaturesAreMeasuredToo) {
+  const std::string file = path("ncc.json");
+  const Ran ran = corvid_run({"bench", "ncc", "--quick", "--runs", "1", "--tables",
+                              "features,strips", "--json", file, "-q"});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, IsEmpty()) << "-q leaves warnings and errors";
+  const json rows = json::parse(read(file));
+  ASSERT_EQ(rows.size(), 4U);
+  EXPECT_EQ(rows[0]["table"], "strips");
+  expect_sane_rate(rows[0]);
+  EXPECT_EQ(rows[1]["coefficients"], 3000 * 21 * 641);
+  expect_sane(rows[1]);
+  expect_sane_rate(rows[1]);
+  const auto rate = [&](int i) { return rows[i]["gcoefficients_per_s"].get<double>(); };
+  EXPECT_NEAR(rows[1]["share_of_dense"].get<double>(), rate(1) / rate(0), 1e-6);
+  for (const int i : {2, 3}) {
+    EXPECT_EQ(rows[i]["table"], "features");
+    EXPECT_TRUE(rows[i]["template_px"].is_null());
+    expect_sane(rows[i]);
+  }
+}
+
+TEST_F(BenchTest, WrongArgumentsAreNamed) {
+  struct Case {
+    std::vector<std::string> arguments;
+    const char* said;
+  };
+  const Case cases[] = {
+      {{"bench"}, "`corvid bench --help`"},
+      {{"bench", "nc"}, "unknown command nc (did you mean ncc?)"},
+      {{"bench", "ncc", "--jsn", "x"}, "unknown option --jsn (did you mean --json?)"},
+      {{"bench", "ncc", "extra"}, "unknown argument extra (`corvid bench ncc --help`"},
+      {{"bench", "ncc", "--runs", "0"}, "--runs"},
+      {{"bench", "ncc", "--runs", "many"}, "`corvid bench ncc --help`"},
+      {{"bench", "ncc", "--tables", "dense,sparse"}, "sparse"},
+      {{"bench", "ncc", "--templates", "4"}, "a template of 4 px is not odd and 3 to 31"},
+      {{"bench", "ncc", "--templates", "33"}, "a template of 33 px"},
+      {{"bench", "ncc", "--templates", "11,x"}, "--templates"},
+      {{"bench", "ncc", "--templates", "11", "--images", "64,9"}, "9x9 px is smaller"},
+      {{"bench", "ncc", "--images", "20000"}, "larger than"},
+      {{"bench", "ncc", "--json", folder_.string()}, "is a folder"},
+  };
+  for (const Case& c : cases) {
+    const Ran ran = corvid_run(c.arguments);
+    EXPECT_EQ(ran.code, 2) << c.said;
+    EXPECT_THAT(ran.err, AllOf(HasSubstr("error: "), HasSubstr(c.said)));
+    EXPECT_THAT(ran.out, IsEmpty()) << c.said;
+  }
+  EXPECT_THAT(corvid_run({"bench", "--help"}).out, HasSubstr("ncc"));
+  EXPECT_THAT(corvid_run({"bench", "ncc", "--help"}).out, HasSubstr("--templates"));
+  EXPECT_EQ(corvid_run({"bench", "ncc", "--device", "99"}).code, 5);
+}
+
+TEST_F(BenchTest, AFileThatCannotBeWrittenIsFoundOutBeforeMeasuring) {
+  const std::string file = write("a_file", "x") + "/ncc.json";
+  const Ran ran = corvid_run({"bench", "ncc", "--json", file});
+  EXPECT_EQ(ran.code, 1);
+  EXPECT_THAT(ran.err, AllOf(HasSubstr("error: "), HasSubstr("a_file")));
+  EXPECT_THAT(ran.out, IsEmpty());
+}
+
+// Sends SIGINT to this process when the n-th line goes through it.
+class SignallingBuffer : public std::stringbuf {
+ public:
+  explicit SignallingBuffer(int line) : line_(line) {}
+
+ protected:
+  int sync() override {
+    if (++seen_ == line_) std::raise(SIGINT);
+    return 0;
+  }
+
+ private:
+  int line_, seen_ = 0;
+};
+
+TEST_F(BenchTest, SigintKeepsTheFinishedRowsAndEndsWith130) {
+  SignallingBuffer buffer(3);  // the line of the first row
+  std::ostringstream out;
+  std::ostream err(&buffer);
+  const std::string file = path("ncc.json");
+  // The second row would take an hour.
+  const char* argv[] = {"corvid", "bench", "ncc",      "--tables", "dense",  "--templates", "3",
+                        "--runs", "2000",  "--images", "64,3000",  "--json", file.c_str()};
+  const int code = run_program(static_cast<int>(std::size(argv)), argv, Context{out, err});
+  EXPECT_EQ(code, 130) << buffer.str();
+  EXPECT_THAT(buffer.str(), HasSubstr("what there is will be saved"));
+  const json rows = json::parse(read(file));
+  ASSERT_EQ(rows.size(), 1U);
+  EXPECT_EQ(rows[0]["image_px"], 64);
+  EXPECT_THAT(out.str(), HasSubstr("3x3"));
+}
+
+}  // namespace
+}  // namespace corvid
