@@ -118,14 +118,20 @@ Expected<NccMatcher> NccMatcher::create(std::shared_ptr<Device> device, std::str
   return matcher;
 }
 
-Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, PixelFormat format) {
+bool NccMatcher::integer_by_default(PixelFormat format) const {
+  return format == PixelFormat::grey8 && !groups_ && multiplies_pairs();
+}
+
+Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, PixelFormat format,
+                                                   NccVariant variant) {
   if (auto error = check_options(options)) return tl::unexpected(std::move(*error));
   const int width = options.template_px, height = height_of(options);
   const bool uniform = options.weights == NccWeights::uniform;
   const bool floats = format == PixelFormat::float32;
   const bool integer =
-      !floats && (variant_ == NccVariant::by_device ? !groups_ && multiplies_pairs()
-                                                    : variant_ == NccVariant::integer);
+      !floats && (variant == NccVariant::by_device || variant == NccVariant::frequency
+                      ? integer_by_default(format)
+                      : variant == NccVariant::integer);
   const PieceSize piece = groups_ ? kGroupPiece : kCpuPiece;
   const std::string key = fmt::format(
       "-DTW={} -DTH={} -DWEIGHTS_X={} -DWEIGHTS_Y={} -DLANES={} -DROWS={} -DPIECE_W={} "
@@ -135,10 +141,7 @@ Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, Pi
       piece.height, uniform ? " -DUNIFORM" : "", floats ? " -DFLOAT_IMAGE" : "",
       integer ? " -DINTEGER" : "", extra_options_.empty() ? "" : " ", extra_options_);
   if (const auto found = kernels_.find(key); found != kernels_.end()) return &found->second;
-  const auto program = build_program(*device_,
-                                     groups_ ? "ncc_common+ncc_templates+ncc_group+ncc_peaks"
-                                             : "ncc_common+ncc_templates+ncc_score+ncc_peaks",
-                                     key);
+  const auto program = build_program(*device_, groups_ ? kGpuProgram : kCpuProgram, key);
   if (!program) return tl::unexpected(program.error());
   const auto count = [](int n) { return static_cast<std::size_t>(n); };
   // STORED of ncc_common.cl.
@@ -155,7 +158,7 @@ Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, Pi
 }
 
 Expected<void> NccMatcher::prepare(const NccOptions& options, PixelFormat format) {
-  const auto ready = kernels(options, format);
+  const auto ready = kernels(options, format, variant_);
   if (!ready) return tl::unexpected(ready.error());
   // Drivers compile for a launch shape at its first use: not in front of the first frame.
   const auto warm = opening_on_device(*device_, [&] {
@@ -225,9 +228,9 @@ void NccMatcher::add_job(DeviceJob job) {
 
 NccMatcher::Kernels& NccMatcher::checked_kernels(const DeviceImage& reference,
                                                  const DeviceImage& target,
-                                                 const NccOptions& options) {
+                                                 const NccOptions& options, NccVariant variant) {
   CORVID_CHECK(reference.format == target.format, "images to correlate have one pixel format");
-  const auto ready = kernels(options, target.format);
+  const auto ready = kernels(options, target.format, variant);
   if (!ready) {
     CORVID_CHECK(ready.error().code == ErrorCode::device, ready.error().to_string());
     throw DeviceFault(ready.error().to_string(), CL_BUILD_PROGRAM_FAILURE);
@@ -238,7 +241,7 @@ NccMatcher::Kernels& NccMatcher::checked_kernels(const DeviceImage& reference,
 std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const DeviceImage& target,
                                          std::span<const NccJob> jobs, const NccOptions& options,
                                          Lane lane) {
-  Kernels& kernels = checked_kernels(reference, target, options);
+  Kernels& kernels = checked_kernels(reference, target, options, variant_);
   std::vector<NccResult> results(jobs.size());
   const PieceSize most = groups_ ? kGroupPiece : kCpuPiece;
   const std::size_t job_bytes =
@@ -269,25 +272,6 @@ std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const Dev
   }
   flush();
   return results;
-}
-
-void NccMatcher::score(const DeviceImage& reference, const DeviceImage& target, const NccJob& job,
-                       const NccOptions& options, NccScores& out, Lane lane) {
-  Kernels& kernels = checked_kernels(reference, target, options);
-  out.x_px = out.y_px = out.width_px = out.height_px = 0;
-  out.scores.resize(0);
-  DeviceJob placed{};
-  if (!place(job, reference, target, kernels, placed)) return;
-  out.x_px = placed.x;
-  out.y_px = placed.y;
-  out.width_px = placed.width;
-  out.height_px = placed.height;
-  out.scores.resize(static_cast<std::size_t>(placed.width) *
-                    static_cast<std::size_t>(placed.height));
-  jobs_.clear();
-  piece_list_.clear();
-  add_job(placed);
-  run_batch(kernels, reference, target, options, &out.scores, lane);
 }
 
 NccMatcher::Denominators& NccMatcher::denominators(const Kernels& kernels,

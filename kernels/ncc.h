@@ -7,6 +7,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "kernels/buffer.h"
@@ -64,8 +65,9 @@ struct NccOptions {
 
 /// How the work is done. integer: 16-bit integer taps and 32-bit sums, exact but for the taps'
 /// rounding, 8-bit images only (x86 CPUs). real: single precision, a strip per work-item (CPUs).
-/// group: single precision, a square per work-group (GPUs). Scores agree within 2e-5.
-enum class NccVariant { by_device, integer, real, group };
+/// group: single precision, a square per work-group (GPUs). These agree within 2e-5.
+/// frequency: score() by Fourier transforms on the host, within 1e-4; match() as by_device (CPUs).
+enum class NccVariant { by_device, integer, real, group, frequency };
 
 /// Coefficients of one job on the pixel grid, on the device.
 struct NccScores {
@@ -111,6 +113,9 @@ class NccMatcher {
                                              const NccOptions& options, Lane lane = Lane::tracking);
 
   /// The coefficients themselves. `out` is used again; done on return. Throws as match().
+  /// On a CPU a window of 128 x 128 candidates and more is scored in the way that was measured to
+  /// be fastest for the template's size, kind of weights and format; the first such job on a device
+  /// measures (some 0.3 s and the kernels' compilation), see Tuning. match() never depends on it.
   void score(const DeviceImage& reference, const DeviceImage& target, const NccJob& job,
              const NccOptions& options, NccScores& out, Lane lane = Lane::tracking);
 
@@ -151,9 +156,10 @@ class NccMatcher {
   [[nodiscard]] static bool place(const NccJob& job, const DeviceImage& reference,
                                   const DeviceImage& target, const Kernels& kernels,
                                   DeviceJob& out);
-  Expected<Kernels*> kernels(const NccOptions& options, PixelFormat format);
+  [[nodiscard]] bool integer_by_default(PixelFormat format) const;
+  Expected<Kernels*> kernels(const NccOptions& options, PixelFormat format, NccVariant variant);
   Kernels& checked_kernels(const DeviceImage& reference, const DeviceImage& target,
-                           const NccOptions& options);
+                           const NccOptions& options, NccVariant variant);
   void add_job(DeviceJob job);
   Denominators& denominators(const Kernels& kernels, const DeviceImage& target);
   void complete_denominators(Kernels& kernels, const DeviceImage& target, Denominators& kept,
@@ -164,14 +170,24 @@ class NccMatcher {
   void launch(const cl::Kernel& kernel, int count, Lane lane) const;
   void run_batch(Kernels& kernels, const DeviceImage& reference, const DeviceImage& target,
                  const NccOptions& options, Buffer<float>* map, Lane lane);
+  // ncc_dense.cpp
+  void score_as(NccVariant variant, const DeviceImage& reference, const DeviceImage& target,
+                const DeviceJob& job, const NccOptions& options, NccScores& out, Lane lane);
+  void score_frequencies(Kernels& kernels, const DeviceImage& reference, const DeviceImage& target,
+                         Buffer<float>& map, Lane lane);
+  NccVariant fastest_variant(const NccOptions& options, PixelFormat format, Lane lane);
 
+  /// Sources of the programs; see build_program().
+  static constexpr std::string_view kCpuProgram = "ncc_common+ncc_templates+ncc_score+ncc_peaks";
+  static constexpr std::string_view kGpuProgram = "ncc_common+ncc_templates+ncc_group+ncc_peaks";
   std::shared_ptr<Device> device_;
   std::string extra_options_;
   NccVariant variant_;
   bool groups_;  // work is done by work-groups
   int lanes_;    // 32-bit numbers per vector
   std::map<std::string, Kernels> kernels_;
-  std::list<Denominators> denominators_;  // used last first
+  std::map<std::string, NccVariant> fastest_;  // of dense maps, as far as looked up
+  std::list<Denominators> denominators_;       // used last first
   std::vector<DeviceJob> jobs_;
   std::vector<Piece> piece_list_;
   std::vector<NccResult> results_;

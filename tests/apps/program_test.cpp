@@ -34,7 +34,7 @@ TEST(Program, HelpAndVersionGoToTheStandardOutput) {
   EXPECT_EQ(version.code, 0);
   EXPECT_THAT(version.out, ::testing::MatchesRegex("corvid [0-9]+\\.[0-9]+\\.[0-9]+\n"));
   for (const char* command :
-       {"replay", "info", "export", "eval", "record", "doctor", "demo", "options"}) {
+       {"replay", "info", "export", "eval", "record", "doctor", "demo", "options", "bench"}) {
     const Ran own = corvid_run({command, "--help"});
     EXPECT_EQ(own.code, 0) << command;
     EXPECT_THAT(own.out, HasSubstr("--help")) << command;
