@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <optional>
 #include <utility>
@@ -24,6 +25,7 @@ struct PieceSize {
 constexpr PieceSize kCpuPiece{704, 32, 4}, kGroupPiece{30, 30, 8};
 // Work-items of a group: SCORED_W * GROUP_ROWS of ncc_group.cl.
 constexpr int kGroup = (kGroupPiece.width + 2) * (kGroupPiece.height + 2) / kGroupPiece.rows;
+constexpr std::size_t kKeptDenominators = 8;
 constexpr std::size_t kKeptDenominatorBytes = std::size_t{192} << 20;
 
 int height_of(const NccOptions& options) {
@@ -285,11 +287,17 @@ NccMatcher::Denominators& NccMatcher::denominators(const Kernels& kernels,
   }
   const int tiles =
       divide_up(target.width_px, box_columns()) * divide_up(target.height_px, kBoxRows);
-  denominators_.push_front({target.id, &kernels, Buffer<float>(device_), Buffer<float>(device_),
-                            std::vector<bool>(static_cast<std::size_t>(tiles))});
+  // The oldest gives its memory to the new one.
+  if (denominators_.size() < kKeptDenominators)
+    denominators_.push_front({0, nullptr, Buffer<float>(device_), Buffer<float>(device_), {}});
+  else
+    denominators_.splice(denominators_.begin(), denominators_, std::prev(denominators_.end()));
+  denominators_.front().image = target.id;
+  denominators_.front().kernels = &kernels;
+  denominators_.front().done.assign(static_cast<std::size_t>(tiles), false);
   std::size_t bytes = 0;
   for (auto d = denominators_.begin(); d != denominators_.end(); ++d) {
-    bytes += 2 * sizeof(float) * d->means.size();
+    bytes += 2 * sizeof(float) * d->means.capacity();
     if (bytes > kKeptDenominatorBytes && d != denominators_.begin()) {
       denominators_.erase(d, denominators_.end());
       break;
