@@ -123,6 +123,10 @@ inline intv load_pairs(const short* p) {
 #define MIN_WEIGHTED_VARIANCE 0.1f  // grey^2, of 8-bit images with weights
 #define MIN_RELATIVE_VARIANCE 1e-10f  // of the mean squared, of float images
 #define MIN_VARIANCE 1e-30f
+// A variance of this share of the mean squared, as the difference of two sums, is not exact to 1e-4;
+// one below minus the other share is no rounding.
+#define LOST_DIGITS 2e-3f
+#define LEAST_DIGITS 1e-5f
 
 typedef struct {
   int reference_x, reference_y;  // pixel left above the template's centre

@@ -86,7 +86,17 @@ ONE_GROUP __kernel void denominators(__global const PIXEL* restrict target, int 
     means[at] = (float)s * (1.0f / (float)AREA);
     inverses[at] = n2_variance > 0.0f ? (float)AREA / sqrt(n2_variance) : 0.0f;
 #else
-    const float variance = s2 - s * s, mean = s + origin;
+    float variance = s2 - s * s;
+    const float mean = s + origin;
+    // Little variance far from the origin has lost its digits: once more, about the mean.
+    if (variance < LOST_DIGITS * s * s && variance > -LEAST_DIGITS * s * s) {
+      variance = 0.0f;
+      for (int v = 0; v < TH; ++v)
+        for (int u = 0; u < TW; ++u) {
+          const float d = patch[(row + v) * PATCH_W + column + u] - s;
+          variance += kWeightsY[v] * kWeightsX[u] * d * d;
+        }
+    }
 #ifdef FLOAT_IMAGE
     const bool scored =
         variance > fmax(MIN_RELATIVE_VARIANCE * mean * mean, MIN_VARIANCE) && isfinite(variance);

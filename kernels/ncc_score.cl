@@ -127,8 +127,21 @@ __kernel void denominators(__global const PIXEL* restrict target, int width, int
         mean += kWeightsX[u] * VLOAD(columns[r - TH + 1] + o * LANES + u);
         square += kWeightsX[u] * VLOAD(columns2[r - TH + 1] + o * LANES + u);
       }
-      const floatv variance = square - mean * mean;
+      floatv variance = square - mean * mean;
       m[o] = mean + origin;
+      // Little variance far from the origin has lost its digits: once more, about the mean.
+      const floatv size = mean * mean;
+      const intv lost = variance < LOST_DIGITS * size && variance > -LEAST_DIGITS * size;
+      if (any(lost)) {
+        floatv centred = 0;
+        for (int v = 0; v < TH; ++v)
+          for (int u = 0; u < TW; ++u) {
+            const floatv d =
+                TO_FLOAT(VLOAD(source + (size_t)(r - TH + 1 + v) * width + o * LANES + u)) - m[o];
+            centred += kWeightsY[v] * kWeightsX[u] * d * d;
+          }
+        variance = select(variance, centred, lost);
+      }
 #ifdef FLOAT_IMAGE
       const floatv least = fmax(MIN_RELATIVE_VARIANCE * m[o] * m[o], MIN_VARIANCE);
       const intv scored = variance > least && isfinite(variance);

@@ -172,15 +172,16 @@ INSTANTIATE_TEST_SUITE_P(Ncc, NccVariants,
 
 TEST_P(NccVariants, AgreesWithTheOracle) {
   auto matcher = make<NccMatcher>("", GetParam());
-  for (const auto& [name, image] : test_images(110, 84)) {
-    const Difference d = compare_all(matcher, mixed_case(image, 11, false));
-    EXPECT_LT(d.best, 1e-4) << name;
-    EXPECT_LT(d.peak, 0.01) << name;
-    EXPECT_EQ(d.lost, 0) << name;
-    if (name == "natural" || name == "noise") {
-      EXPECT_GT(d.peaks, 15) << name;
+  for (const auto& [name, image] : test_images(110, 84))
+    for (const bool gaussian : {false, true}) {
+      const Difference d = compare_all(matcher, mixed_case(image, 11, gaussian));
+      EXPECT_LT(d.best, 1e-4) << name << gaussian;
+      EXPECT_LT(d.peak, 0.01) << name << gaussian;
+      EXPECT_EQ(d.lost, 0) << name << gaussian;
+      if (name == "natural" || name == "noise") {
+        EXPECT_GT(d.peaks, 15) << name << gaussian;
+      }
     }
-  }
 }
 
 TEST_P(NccVariants, AgreesWithTheOracleForEverySizeAndWeight) {
@@ -278,30 +279,32 @@ TEST_P(NccVariants, NotANumberInAFloatImageSpoilsOnlyTheFootprintsThatHoldIt) {
 TEST_P(NccVariants, ScoreMapsAgreeWithTheOracle) {
   auto matcher = make<NccMatcher>("", GetParam());
   for (const auto& [name, image] : test_images(90, 70)) {
-    Case c = mixed_case(image, 5, false, 9);
-    NccScores scores(test_device());
-    for (const NccJob& job : {job_at(30.5F, 30.25F, 45, 35, 100, 100),
-                              job_at(40, 20, 50, 30, 17, 2), job_at(40, 20, 50, 30, 0, 3)}) {
-      matcher.score(upload(*test_device(), c.reference), upload(*test_device(), c.target), job,
-                    c.options, scores);
-      const FloatImage map = scores.download();
-      ASSERT_GT(map.size(), 0U);
-      const auto w = oracle::ncc_weights(c.shape());
-      const auto t = oracle::sample_template(c.reference, job.template_x_px, job.template_y_px,
-                                             job.warp, 5, 9);
-      double worst = 0;
-      for (int y = 0; y < map.height(); ++y)
-        for (int x = 0; x < map.width(); ++x)
-          worst = std::max(worst, std::abs(oracle::ncc_at(t, c.target, x + scores.x_px,
-                                                          y + scores.y_px, c.shape(), w)
-                                               .value_or(-2) -
-                                           map(x, y)));
-      EXPECT_LT(worst, 1e-4) << name;
+    for (const bool gaussian : {false, true}) {
+      Case c = mixed_case(image, 5, gaussian, 9);
+      NccScores scores(test_device());
+      for (const NccJob& job : {job_at(30.5F, 30.25F, 45, 35, 100, 100),
+                                job_at(40, 20, 50, 30, 17, 2), job_at(40, 20, 50, 30, 0, 3)}) {
+        matcher.score(upload(*test_device(), c.reference), upload(*test_device(), c.target), job,
+                      c.options, scores);
+        const FloatImage map = scores.download();
+        ASSERT_GT(map.size(), 0U);
+        const auto w = oracle::ncc_weights(c.shape());
+        const auto t = oracle::sample_template(c.reference, job.template_x_px, job.template_y_px,
+                                               job.warp, 5, 9);
+        double worst = 0;
+        for (int y = 0; y < map.height(); ++y)
+          for (int x = 0; x < map.width(); ++x)
+            worst = std::max(worst, std::abs(oracle::ncc_at(t, c.target, x + scores.x_px,
+                                                            y + scores.y_px, c.shape(), w)
+                                                 .value_or(-2) -
+                                             map(x, y)));
+        EXPECT_LT(worst, 1e-4) << name << gaussian;
+      }
+      // A job without candidates has an empty map.
+      matcher.score(upload(*test_device(), c.reference), upload(*test_device(), c.target),
+                    job_at(-5, 30, 45, 35, 10, 10), c.options, scores);
+      EXPECT_TRUE(scores.download().empty());
     }
-    // A job without candidates has an empty map.
-    matcher.score(upload(*test_device(), c.reference), upload(*test_device(), c.target),
-                  job_at(-5, 30, 45, 35, 10, 10), c.options, scores);
-    EXPECT_TRUE(scores.download().empty());
   }
 }
 

@@ -9,7 +9,7 @@
 #include <map>
 #include <optional>
 
-#include "kernels/pyramid.h"
+#include "kernels/corners.h"
 #include "kernels/test_device.h"
 
 namespace corvid {
@@ -51,16 +51,12 @@ class ProgramCache : public ::testing::Test {
   static std::shared_ptr<Device> fresh_device() {
     return *Device::open(std::to_string(test_device()->info().index));
   }
-  // Builds the pyramid's kernel and sees that it works.
+  // Builds the kernels of corners and sees that they work.
   static void build_and_use() {
-    auto builder = PyramidBuilder::create(fresh_device());
-    ASSERT_TRUE(builder) << builder.error().to_string();
     const auto device = fresh_device();
-    const GreyImage grey(40, 40, 9);
-    auto again = PyramidBuilder::create(device);
-    ASSERT_TRUE(again) << again.error().to_string();
-    const auto pyramid = again->build(grey, 2);
-    EXPECT_EQ(download(*device, pyramid->level(1)), GreyImage(20, 20, 9));
+    auto detector = CornerDetector::create(device);
+    ASSERT_TRUE(detector) << detector.error().to_string();
+    EXPECT_TRUE(detector->detect(upload(*device, GreyImage(40, 40, 9)), {}).empty());
   }
   [[nodiscard]] std::vector<fs::path> files() const {
     std::vector<fs::path> found;
@@ -78,7 +74,7 @@ TEST_F(ProgramCache, IsFilledOnceAndThenRead) {
   build_and_use();
   const auto first = files();
   ASSERT_EQ(first.size(), 1U);
-  EXPECT_THAT(first[0].filename().string(), HasSubstr("pyramid-"));
+  EXPECT_THAT(first[0].filename().string(), HasSubstr("corners-"));
   const std::string content = read(first[0]);
   const auto written = fs::last_write_time(first[0]);
   // A program that is found there is taken: other options would make another file.
@@ -86,7 +82,7 @@ TEST_F(ProgramCache, IsFilledOnceAndThenRead) {
   EXPECT_EQ(files(), first);
   EXPECT_EQ(fs::last_write_time(first[0]), written);
   EXPECT_EQ(read(first[0]), content);
-  ASSERT_TRUE(build_program(*fresh_device(), "pyramid", "-DOTHER=1"));
+  ASSERT_TRUE(build_program(*fresh_device(), "corners", "-DLANES=1 -DOTHER=1"));
   EXPECT_EQ(files().size(), 2U);
 }
 
@@ -193,12 +189,23 @@ TEST(Program, EmbeddedSourcesAreTheFiles) {
 TEST(Program, KernelsCompileWithoutADevice) {
   if (std::system("clang --version > /dev/null 2>&1") != 0)
     GTEST_SKIP() << "clang is not installed (apt install clang)";
-  // Families that want build options; each line is tried.
+  const std::string common = " -include ncc_common.cl",
+                    templates = common + " -include ncc_templates.cl",
+                    size = "-DTW=3 -DTH=5 -DWEIGHTS_X=0.1f -DWEIGHTS_Y=0.1f ",
+                    uniform = size +
+                              "-DUNIFORM -DINTEGER -DLANES=16 -DROWS=4 -DPIECE_W=704 "
+                              "-DPIECE_H=32",
+                    weighted = size + "-DINTEGER -DLANES=8 -DROWS=4 -DPIECE_W=704 -DPIECE_H=32",
+                    floats = size + "-DFLOAT_IMAGE -DLANES=4 -DROWS=4 -DPIECE_W=704 -DPIECE_H=32",
+                    group = size + "-DLANES=4 -DROWS=8 -DPIECE_W=30 -DPIECE_H=30";
+  // Families that want build options or the files that stand before them; each line is tried.
   const std::map<std::string, std::vector<std::string>> options = {
-      {"ncc",
-       {"-DT=11 -DWEIGHTS=0.1f -DLANES=16 -DROWS=4 -DTILE_ROWS=32",
-        "-DT=3 -DWEIGHTS=0.1f -DLANES=4 -DROWS=4 -DTILE_ROWS=8",
-        "-DT=31 -DWEIGHTS=0.1f -DLANES=16 -DROWS=4 -DTILE_ROWS=32 -DGAUSSIAN"}},
+      {"ncc_common", {uniform, weighted, floats}},
+      {"ncc_templates", {uniform + common, weighted + common, floats + common}},
+      {"ncc_score", {uniform + templates, weighted + templates, floats + templates}},
+      {"ncc_group",
+       {group + templates, group + " -DUNIFORM" + templates, group + " -DFLOAT_IMAGE" + templates}},
+      {"ncc_peaks", {uniform + templates, weighted + templates, floats + templates}},
       {"depth",
        {"-DVEC=16 -DRADIUS=1 -DWEIGHTS=0.25f,0.5f,0.25f -DMIN_SCORE=0.6f -DMIN_VIEWS=2 "
         "-DMIN_VARIANCE=1.0f -DPAD=16",
@@ -212,7 +219,8 @@ TEST(Program, KernelsCompileWithoutADevice) {
       const std::string command =
           "clang -x cl -cl-std=CL1.2 -Xclang -finclude-default-header -fsyntax-only -Wall "
           "-Werror " +
-          option + " '" + CORVID_SOURCE_DIR + "/kernels/" + std::string(kernel.name) + ".cl'";
+          option + " -I '" + CORVID_SOURCE_DIR + "/kernels' '" + CORVID_SOURCE_DIR + "/kernels/" +
+          std::string(kernel.name) + ".cl'";
       EXPECT_EQ(std::system(command.c_str()), 0) << command;
     }
   }
