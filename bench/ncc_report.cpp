@@ -136,6 +136,7 @@ Json to_json(const NccReport& report, const NccRow& row) {
   json["upload_ms"] = number(row.upload_ms);
   json["opencv_ms"] = number(milliseconds(row.opencv));
   json["opencv_fastest_ms"] = row.opencv ? Json(row.opencv->fastest_ms) : Json();
+  json["opencv_cpu_ms"] = row.opencv ? Json(row.opencv->cpu_ms) : Json();
   json["ratio"] = number(row.ratio());
   json["coefficients"] = correlates ? Json(row.coefficients) : Json();
   json["gcoefficients_per_s"] = correlates ? Json(row.gcoefficients_per_s()) : Json();
