@@ -20,6 +20,9 @@ namespace {
 
 // Smaller windows, or thinner ones, are not worth a choice.
 constexpr int kDenseSide_px = 128;
+// Smaller templates are nowhere faster by Fourier transforms: with 4 numbers per vector these begin
+// to win at 15 x 15, with 16 at 31 x 31 (docs/decisions/correlation.md).
+constexpr int kLeastFrequencyArea = 13 * 13;
 
 // What ways are compared on: neither smooth nor noise, the same everywhere.
 template <class Pixel>
@@ -143,20 +146,19 @@ NccVariant NccMatcher::fastest_variant(const NccOptions& options, PixelFormat fo
   const bool grey = format == PixelFormat::grey8;
   const int height =
       options.template_height_px == 0 ? options.template_px : options.template_height_px;
+  if (options.template_px * height < kLeastFrequencyArea) return NccVariant::by_device;
   const std::string key = fmt::format(
-      "dense correlation 1: {}x{} {} {}, {} lanes{}{}", options.template_px, height,
+      "dense correlation 2: {}x{} {} {}, {} lanes{}{}", options.template_px, height,
       options.weights == NccWeights::uniform ? "uniform" : "weighted", grey ? "grey8" : "float32",
       lanes_, extra_options_.empty() ? "" : ", ", extra_options_);
   if (const auto found = fastest_.find(key); found != fastest_.end()) return found->second;
 
-  constexpr std::array kWays{std::pair{"integer", NccVariant::integer},
-                             std::pair{"real", NccVariant::real},
+  constexpr std::array kWays{std::pair{"space", NccVariant::by_device},
                              std::pair{"frequency", NccVariant::frequency}};
   std::optional<DeviceImage> image;  // uploaded if anything is measured
   NccScores scores(device_);
   std::vector<Tuning::Candidate> candidates;
   for (const auto& [name, variant] : kWays) {
-    if (variant == NccVariant::integer && !integer_by_default(format)) continue;
     candidates.push_back(
         {name, [&, variant = variant] {
            if (!image)

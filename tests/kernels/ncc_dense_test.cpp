@@ -229,7 +229,7 @@ class NccDenseChoice : public ::testing::Test {
 
 TEST_F(NccDenseChoice, AllWaysAgreeAndTheChosenOneIsOneOfThem) {
   const GreyImage image = test_images(220, 200)[0].second;
-  const NccOptions options = Shape{13, 9, NccWeights::uniform}.options();
+  const NccOptions options = Shape{17, 11, NccWeights::uniform}.options();
   const auto device = fresh_device();
   const FloatImage integer = map_of(device, NccVariant::integer, image, options);
   const FloatImage real = map_of(device, NccVariant::real, image, options);
@@ -240,7 +240,7 @@ TEST_F(NccDenseChoice, AllWaysAgreeAndTheChosenOneIsOneOfThem) {
   const FloatImage chosen = map_of(device, NccVariant::by_device, image, options);
   EXPECT_TRUE(chosen == integer || chosen == real || chosen == frequency);
   const std::string file = read(device->tuning().file());
-  EXPECT_THAT(file, testing::HasSubstr("13x9 uniform grey8"));
+  EXPECT_THAT(file, testing::HasSubstr("17x11 uniform grey8"));
   EXPECT_THAT(file, testing::HasSubstr("\"frequency\":"));
   // Another process would find it.
   EXPECT_EQ(map_of(fresh_device(), NccVariant::by_device, image, options), chosen);
@@ -249,16 +249,18 @@ TEST_F(NccDenseChoice, AllWaysAgreeAndTheChosenOneIsOneOfThem) {
 
 TEST_F(NccDenseChoice, AKeptChoiceIsFollowed) {
   const GreyImage image = test_images(220, 200)[0].second;
-  const NccOptions options = Shape{11, 11, NccWeights::uniform}.options();
+  const NccOptions options = Shape{13, 13, NccWeights::uniform}.options();
   const auto device = fresh_device();
   (void)map_of(device, NccVariant::by_device, image, options);
-  const FloatImage real = map_of(device, NccVariant::real, image, options);
+  setenv("CORVID_TUNING", "off", 1);
+  const FloatImage space = map_of(fresh_device(), NccVariant::by_device, image, options);
+  unsetenv("CORVID_TUNING");
   const FloatImage frequency = map_of(device, NccVariant::frequency, image, options);
-  ASSERT_NE(real, frequency);
+  ASSERT_NE(space, frequency);
   const std::string file = read(device->tuning().file());
   const std::size_t at = file.find("\"choice\": \"");
   ASSERT_NE(at, std::string::npos);
-  for (const auto& [name, wanted] : {std::pair{"real", &real}, {"frequency", &frequency}}) {
+  for (const auto& [name, wanted] : {std::pair{"space", &space}, {"frequency", &frequency}}) {
     std::string other = file;
     const std::size_t begin = at + 11, end = other.find('"', begin);
     other.replace(begin, end - begin, name);
@@ -267,19 +269,22 @@ TEST_F(NccDenseChoice, AKeptChoiceIsFollowed) {
   }
 }
 
-TEST_F(NccDenseChoice, NothingIsMeasuredForSmallWindowsNorWhenTuningIsOff) {
+TEST_F(NccDenseChoice, NothingIsMeasuredForSmallWindowsOrTemplatesNorWhenTuningIsOff) {
   const GreyImage image = test_images(220, 200)[0].second;
   const auto device = fresh_device();
-  const FloatImage small = map_of(device, NccVariant::by_device, image, {}, 60);
+  (void)map_of(device, NccVariant::by_device, image, {});
+  EXPECT_FALSE(fs::exists(device->tuning().file()));
+  const NccOptions options = Shape{13, 13, NccWeights::uniform}.options();
+  const FloatImage small = map_of(device, NccVariant::by_device, image, options, 60);
   EXPECT_EQ(small.size(), 121U * 121U);
   EXPECT_FALSE(fs::exists(device->tuning().file()));
   setenv("CORVID_TUNING", "off", 1);
   const auto untuned = fresh_device();
-  const FloatImage map = map_of(untuned, NccVariant::by_device, image, {});
+  const FloatImage map = map_of(untuned, NccVariant::by_device, image, options);
   EXPECT_FALSE(fs::exists(device->tuning().file()));
   // The static choice, as match() takes it.
-  EXPECT_TRUE(map == map_of(untuned, NccVariant::integer, image, {}) ||
-              map == map_of(untuned, NccVariant::real, image, {}));
+  EXPECT_TRUE(map == map_of(untuned, NccVariant::integer, image, options) ||
+              map == map_of(untuned, NccVariant::real, image, options));
 }
 
 }  // namespace
