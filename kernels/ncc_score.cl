@@ -252,7 +252,9 @@ inline void score(__global const PIXEL* target, int width, const tap_t* taps, fl
 #endif
   for (int left = 0; left < columns; left += BLOCK) {
     __global const PIXEL* source = target + (size_t)(y - HALF_H) * width + x + left - HALF_W;
+#if !FUSED_BOX
     const float origin = ORIGIN(source[HALF_W]);
+#endif
     for (int r = 0; r < rows + TH - 1; ++r)
       for (int c = 0; c < PATCH_PITCH; c += LANES)
         STORE_PATCH(VLOAD(source + (size_t)r * width + c), patch + r * PATCH_PITCH + c);
