@@ -33,13 +33,9 @@ install(FILES README.md LICENSE NOTICE CHANGELOG.md DESTINATION ${CMAKE_INSTALL_
 
 # A consumer's project, built against an installed copy.
 if(CORVID_TESTS)
-  set(consumer_flags "")
-  if(CORVID_SANITIZE)
-    set(consumer_flags "-fsanitize=${CORVID_SANITIZE}")
-  endif()
   add_test(NAME install.consumer
            COMMAND ${CMAKE_COMMAND} -DBUILD=${PROJECT_BINARY_DIR} -DSOURCE=${PROJECT_SOURCE_DIR}
                    -DWORK=${PROJECT_BINARY_DIR}/install-test -DCXX=${CMAKE_CXX_COMPILER}
-                   -DFLAGS=${consumer_flags} -P ${PROJECT_SOURCE_DIR}/tests/install/check.cmake)
+                   "-DFLAGS=${CORVID_SANITIZE_FLAGS}" -P ${PROJECT_SOURCE_DIR}/tests/install/check.cmake)
   set_tests_properties(install.consumer PROPERTIES LABELS slow TIMEOUT 900)
 endif()

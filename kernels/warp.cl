@@ -29,10 +29,9 @@ typedef int16 ints;
 #define TO_INTS convert_int16
 #define TO_FLOATS convert_float16
 #define LANE (float16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
-#define GATHER(type, F, at)                                                                      \
+#define GATHER8(type, F, at)                                                                     \
   (type)(F((at).s0), F((at).s1), F((at).s2), F((at).s3), F((at).s4), F((at).s5), F((at).s6),     \
-         F((at).s7), F((at).s8), F((at).s9), F((at).sa), F((at).sb), F((at).sc), F((at).sd),     \
-         F((at).se), F((at).sf))
+         F((at).s7))
 #else
 typedef float floats;
 typedef int ints;
@@ -52,14 +51,17 @@ inline void read_pairs(__global const pixel* pixels, ints at, floats* left, floa
   *left = pixels[at];
   *right = pixels[at + 1];
 #elif defined(FLOAT_IMAGE)
-#define ONE(i) pixels[i]
-#define OTHER(i) pixels[(i) + 1]
-  *left = GATHER(float16, ONE, at);
-  *right = GATHER(float16, OTHER, at);
+  typedef ulong pair_anywhere __attribute__((aligned(4)));
+#define BOTH(i) *(__global const pair_anywhere*)(pixels + (i))
+  const float16 a = as_float16(GATHER8(ulong8, BOTH, at.lo));
+  const float16 b = as_float16(GATHER8(ulong8, BOTH, at.hi));
+  *left = (float16)(a.even, b.even);
+  *right = (float16)(a.odd, b.odd);
 #else
   typedef ushort pair_anywhere __attribute__((aligned(1)));
 #define BOTH(i) *(__global const pair_anywhere*)(pixels + (i))
-  const int16 both = convert_int16(GATHER(ushort16, BOTH, at));
+  const int16 both = convert_int16(
+      (ushort16)(GATHER8(ushort8, BOTH, at.lo), GATHER8(ushort8, BOTH, at.hi)));
   *left = convert_float16(both & 0xff);
   *right = convert_float16(both >> 8);
 #endif
@@ -107,7 +109,8 @@ inline void store_pixels(__global pixel* to, floats value, int count) {
   const float16 made = value;
 #else
   typedef uchar16 pixels_anywhere __attribute__((aligned(1)));
-  const uchar16 made = convert_uchar16(convert_int16(rint(value)));
+  // 1.5 * 2^23 leaves no place for a fraction: the sum is rounded to nearest, in its low bits.
+  const uchar16 made = convert_uchar16(as_uint16(value + 12582912.0f) & 0xff);
 #endif
   if (count >= LANES) {
     *(__global pixels_anywhere*)to = made;
@@ -151,8 +154,9 @@ typedef struct {
 inline floats by_homography(const Source* in, const Homography* h, int x, int y) {
   const int there = h->h6 > 0 ? LANES - 1 : 0;
   const double u = x + there, v = y;
-  const double z = h->h6 * u + h->h7 * v + h->h8;
-  const double px = (h->h0 * u + h->h1 * v + h->h2) / z, py = (h->h3 * u + h->h4 * v + h->h5) / z;
+  const double z = h->h6 * u + h->h7 * v + h->h8, inverse = 1 / z;
+  const double px = (h->h0 * u + h->h1 * v + h->h2) * inverse;
+  const double py = (h->h3 * u + h->h4 * v + h->h5) * inverse;
   const floats lane = LANE - (float)there;
   const floats depth = (float)z + lane * (float)h->h6, scale = lane / depth;
   const floats nowhere = -1.0f;
