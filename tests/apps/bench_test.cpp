@@ -121,7 +121,7 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
 TEST_F(BenchTest, AFileThatCannotBeWrittenIsFoundOutBeforeMeasuring) {
   const std::string file = write("a_file", "x") + "/ncc.json";
   const Ran ran = corvid_run({"bench", "ncc", "--json", file});
-  EXPECT_EQ(ran.code, 1);
+  EXPECT_EQ(ran.code, 2);
   EXPECT_THAT(ran.err, AllOf(HasSubstr("error: "), HasSubstr("a_file")));
   EXPECT_THAT(ran.out, IsEmpty());
 }
