@@ -10,10 +10,6 @@
 // rows. LANES 1, for GPUs: columns, scores and maxima with x >= pitch, y >= height, one pixel each.
 // Launch of points: x >= number of points.
 
-#ifndef LANES
-#define LANES 1
-#endif
-
 #define RADIUS 3
 #define REACH 4  // RADIUS and one pixel for the gradient
 

@@ -8,11 +8,6 @@
 // On a CPU a group is one work-item with vectors (LANES 16), on a GPU work-items with a pixel each.
 
 #define MAX_RADIUS 40
-#ifndef LANES
-#define LANES 1
-#define MEMBERS 128
-#define TILE 128
-#endif
 
 #ifdef CORVID_PLANT_FAULT
 #define ALONG(j) (taps[j] * ((j) == 1 ? 1.1f : 1.0f))

@@ -7,10 +7,6 @@
 
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 
-#ifndef LANES
-#define LANES 1
-#endif
-
 #ifdef CORVID_PLANT_FAULT
 #define HALF_PIXEL 0.1f
 #else

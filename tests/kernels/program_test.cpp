@@ -211,6 +211,13 @@ TEST(Program, KernelsCompileWithoutADevice) {
         "-DMIN_VARIANCE=1.0f -DPAD=16",
         "-DVEC=1 -DRADIUS=1 -DWEIGHTS=0.25f,0.5f,0.25f -DMIN_SCORE=0.6f -DMIN_VIEWS=2 "
         "-DMIN_VARIANCE=1.0f -DPAD=16"}},
+      {"pyramid", {"", "-DFLOAT_IMAGE"}},
+      {"corners", {"-DLANES=1", "-DLANES=16"}},
+      {"warp", {"-DLANES=1", "-DLANES=16", "-DLANES=1 -DFLOAT_IMAGE", "-DLANES=16 -DFLOAT_IMAGE"}},
+      {"filter",
+       {"-DLANES=1 -DTILE=128 -DMEMBERS=128", "-DLANES=16 -DTILE=1024 -DMEMBERS=1",
+        "-DLANES=1 -DTILE=128 -DMEMBERS=128 -DFLOAT_IMAGE",
+        "-DLANES=16 -DTILE=1024 -DMEMBERS=1 -DFLOAT_IMAGE"}},
   };
   for (const EmbeddedKernel& kernel : embedded_kernels()) {
     const auto found = options.find(std::string(kernel.name));
