@@ -68,6 +68,10 @@ if(CORVID_SANITIZE)
   add_link_options(-fsanitize=${CORVID_SANITIZE})
   set(CORVID_SANITIZE_FLAGS "-fsanitize=${CORVID_SANITIZE}")
   if(CORVID_SANITIZE MATCHES "address")
+    if(CORVID_NATIVE)
+      # 32-byte loads of AVX would meet the 16-byte allocations below.
+      message(FATAL_ERROR "the address sanitizer and CORVID_NATIVE=ON do not go together")
+    endif()
     # Eigen pads its allocations under this sanitizer, but not in the packaged Ceres, which frees
     # some of ours and the other way round. glibc's and the sanitizer's malloc align to 16 bytes.
     add_compile_definitions(EIGEN_MALLOC_ALREADY_ALIGNED=1)
