@@ -69,7 +69,7 @@ if [[ $sanitizers -eq 1 ]]; then
   export TSAN_OPTIONS="halt_on_error=1:second_deadlock_stack=1:suppressions=$suppressions/threads.txt"
   for preset in asan-ubsan tsan; do
     build "$preset"
-    # Under a sanitizer these flights take longer than their time limits; the engine's tests fly the
+    # Minutes each without a sanitizer, and several times that with one; the engine's tests fly the
     # same code over made-up scenes.
     run_tests "$preset" -E '^real_sets\.'
   done
