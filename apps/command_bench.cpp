@@ -1,16 +1,16 @@
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <filesystem>
 #include <memory>
+#include <optional>
 #include <ostream>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "apps/command_list.h"
+#include "apps/opencl_trouble.h"
 #include "apps/signal_guard.h"
 #include "bench/ncc_bench.h"
 #include "core/log.h"
@@ -19,10 +19,9 @@
 namespace corvid {
 namespace {
 
-namespace fs = std::filesystem;
-
 struct NccArguments {
-  std::string device = "auto", json;
+  std::string device = "auto";
+  std::optional<std::string> json;
   std::vector<int> templates_px, images_px;
   std::vector<std::string> tables;
   int runs = 0;
@@ -48,20 +47,6 @@ struct NccArguments {
   }
 };
 
-// A file that cannot be written is found out before minutes of measuring.
-Expected<void> check_writable(const fs::path& path) {
-  std::error_code ignored;
-  if (fs::is_directory(path, ignored)) {
-    return fail(ErrorCode::invalid_argument, "is a folder", path.string(),
-                "name the file to write");
-  }
-  fs::path probe = path;
-  probe += fmt::format(".probe-{}", getpid());
-  auto written = write_file_atomically(probe, "");
-  fs::remove(probe, ignored);
-  return written;
-}
-
 Expected<ExitCode> run_ncc(const NccArguments& arguments, Context& context) {
   const NccBenchOptions options = arguments.options();
   if (auto valid = validate(options); !valid) {
@@ -69,19 +54,19 @@ Expected<ExitCode> run_ncc(const NccArguments& arguments, Context& context) {
     error.hint = "`corvid bench ncc --help` shows what is possible";
     return tl::unexpected(std::move(error));
   }
-  if (!arguments.json.empty()) {
-    if (auto writable = check_writable(arguments.json); !writable)
+  if (arguments.json) {  // found out before minutes of measuring
+    if (auto writable = check_file_writable(*arguments.json); !writable)
       return tl::unexpected(writable.error());
   }
   const SignalGuard signals;
-  auto device = Device::open(arguments.device);
+  auto device = open_explained([&] { return Device::open(arguments.device); });
   if (!device) return tl::unexpected(device.error());
   NccReport report;
   const auto done = run_ncc_bench(*device, options, signals.token(), report);
   // What was measured is kept, whatever happened after it.
   print(report, context.out);
-  if (!arguments.json.empty()) {
-    if (auto written = write_file_atomically(arguments.json, json_rows(report)); !written)
+  if (arguments.json) {
+    if (auto written = write_file_atomically(*arguments.json, json_rows(report)); !written)
       return tl::unexpected(written.error());
   }
   if (!done) return tl::unexpected(done.error());

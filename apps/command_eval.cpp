@@ -21,6 +21,8 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
+constexpr char kRunMarkerFile[] = "run.json", kRunTrajectoryFile[] = "trajectory.txt";
+
 struct Arguments {
   std::string estimate, truth, times;
   std::string align = "sim3";
@@ -29,18 +31,23 @@ struct Arguments {
   bool json = false;
 };
 
-// The trajectory of a run's folder, or the file itself.
-fs::path trajectory_of(const std::string& name) {
+// A folder is a run: nothing else that is a folder holds an estimate.
+fs::path estimate_file(const std::string& name) {
   std::error_code ignored;
-  const fs::path inside = fs::path(name) / "trajectory.txt";
-  return fs::is_directory(name, ignored) && fs::is_regular_file(inside, ignored) ? inside
-                                                                                 : fs::path(name);
+  return fs::is_directory(name, ignored) ? fs::path(name) / kRunTrajectoryFile : fs::path(name);
+}
+
+// A folder is a run if it says so: a data set may hold a file of that name too.
+fs::path truth_file(const std::string& name) {
+  std::error_code ignored;
+  const bool run = fs::is_regular_file(fs::path(name) / kRunMarkerFile, ignored);
+  return run ? fs::path(name) / kRunTrajectoryFile : fs::path(name);
 }
 
 Expected<Trajectory> read_truth(const Arguments& arguments, const TrajectoryReadOptions& reading) {
   std::error_code ignored;
-  const fs::path file = trajectory_of(arguments.truth);
-  if (fs::is_regular_file(file, ignored)) {
+  const fs::path file = truth_file(arguments.truth);
+  if (file != arguments.truth || fs::is_regular_file(file, ignored)) {
     if (file.extension() == ".csv") {
       log().info(
           "{}: the body's poses, if it is EuRoC's; name the sequence's folder to compare "
@@ -129,7 +136,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   TrajectoryReadOptions reading;
   reading.times_path = arguments.times;
   reading.rate_hz = arguments.rate_hz;
-  const fs::path estimate_path = trajectory_of(arguments.estimate);
+  const fs::path estimate_path = estimate_file(arguments.estimate);
   const auto estimate = read_trajectory(estimate_path.string(), reading);
   if (!estimate) return tl::unexpected(estimate.error());
   const auto truth = read_truth(arguments, reading);

@@ -232,11 +232,8 @@ ExitCode judge(const RunResult& result, const std::string& source, bool asked) {
 
 Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& context) {
   if (auto free = check_run_folder(plan.out); !free) return tl::unexpected(free.error());
-  if (const auto trouble = missing_processors()) {
-    return fail(ErrorCode::device, trouble->what, "OpenCL", trouble->remedy);
-  }
-  auto engine = Engine::create(plan.options);
-  if (!engine) return tl::unexpected(explained(engine.error()));
+  auto engine = open_explained([&] { return Engine::create(plan.options); });
+  if (!engine) return tl::unexpected(engine.error());
 
   SteadyClock clock;
   const FrameSource& source = *plan.source;  // the player owns it from here on

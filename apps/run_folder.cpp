@@ -234,7 +234,7 @@ Expected<void> copy_run_colmap(const fs::path& dir, const fs::path& out) {
   auto folder = AtomicFolder::create(out, ".corvid-never-present");
   if (!folder) {
     Error error = folder.error();
-    if (fs::is_directory(out, ec)) {
+    if (error.code == ErrorCode::invalid_argument && fs::is_directory(out, ec)) {
       error.what = "exists and is not empty";
       error.hint = "choose another output folder, or remove this one yourself";
     }

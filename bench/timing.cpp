@@ -19,6 +19,12 @@ double process_ms() {
 
 }  // namespace
 
+double wall_ms() {
+  const std::chrono::duration<double, std::milli> now =
+      std::chrono::steady_clock::now().time_since_epoch();
+  return now.count();
+}
+
 double median(std::vector<double> values) {
   if (values.empty()) return 0;
   std::sort(values.begin(), values.end());
@@ -27,9 +33,10 @@ double median(std::vector<double> values) {
 }
 
 std::vector<Timing> time_in_turn(std::span<const TimedWork> works, int runs,
-                                 const std::stop_token& stop) {
+                                 const std::stop_token& stop,
+                                 const std::function<double()>& clock_ms) {
   struct Runs {
-    std::vector<double> wall_ms;
+    std::vector<double> walls_ms;
     double cpu_ms = 0;
   };
   std::vector<Runs> measured(works.size());
@@ -38,18 +45,17 @@ std::vector<Timing> time_in_turn(std::span<const TimedWork> works, int runs,
       if (stop.stop_requested()) return {};
       if (works[i].before) works[i].before();
       const double cpu = process_ms();
-      const auto start = std::chrono::steady_clock::now();
+      const double start = clock_ms();
       works[i].run();
-      const std::chrono::duration<double, std::milli> wall =
-          std::chrono::steady_clock::now() - start;
+      const double wall = clock_ms() - start;
       if (run < 0) continue;
-      measured[i].wall_ms.push_back(wall.count());
+      measured[i].walls_ms.push_back(wall);
       measured[i].cpu_ms += process_ms() - cpu;
     }
   }
   std::vector<Timing> timings;
   for (const Runs& m : measured) {
-    timings.push_back({median(m.wall_ms), *std::min_element(m.wall_ms.begin(), m.wall_ms.end()),
+    timings.push_back({median(m.walls_ms), *std::min_element(m.walls_ms.begin(), m.walls_ms.end()),
                        m.cpu_ms / static_cast<double>(runs)});
   }
   return timings;

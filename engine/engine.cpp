@@ -83,6 +83,7 @@ struct Engine::Impl {
     MotionMailbox motion;
     Latest<MapSnapshot> map;
     RunResult result;
+    double& held_ms;  // that mapping has waited at the gate; of the thread that maps
 
     // Each stage is a plain function; the two ways to run them are below.
     [[nodiscard]] FrameTracks track(const FramePtr& frame);
@@ -143,9 +144,11 @@ void Engine::Impl::Run::estimate(const TimedTracks& timed) {
 
 bool Engine::Impl::Run::map_once(const MapSnapshot& snapshot) {
   Stopwatch watch;
+  held_ms = 0;
   const bool worked = mapper->step(snapshot);
   if (worked) {
-    metrics.add("mapping", watch.lap_ms());
+    metrics.add("mapping", watch.lap_ms() - held_ms);
+    if (source.info().paced) metrics.add("mapping/held", held_ms);
     for (const auto& [part, ms] : mapper->last_timings()) metrics.add("mapping/" + part, ms);
   }
   return worked;
@@ -290,18 +293,32 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
   // In a paced run tracking goes before mapping, on the device and on the host.
   QueueBrake brake(impl_->device, Lane::mapping);
   Gate gate(&brake);
+  double held_ms = 0;
   std::unique_ptr<Mapper> mapper;
   if (impl_->options.mapping.enabled) {
-    auto created =
-        Mapper::create(impl_->device, impl_->options.mapping, sinks.mesh, [&gate] { gate.wait(); });
+    auto created = Mapper::create(impl_->device, impl_->options.mapping, sinks.mesh, [&] {
+      Stopwatch watch;
+      gate.wait();
+      held_ms += watch.lap_ms();
+    });
     if (!created) return tl::unexpected(created.error());
     mapper = std::move(*created);
   }
   auto backend = std::make_unique<Backend>(
       impl_->options.backend, info.intrinsics != IntrinsicsOrigin::calibration, impl_->threads);
-  Impl::Run run{
-      *impl_, source, sinks, gate, std::move(*frontend), std::move(backend), std::move(mapper), {},
-      {},     {},     {},    {}};
+  Impl::Run run{*impl_,
+                source,
+                sinks,
+                gate,
+                std::move(*frontend),
+                std::move(backend),
+                std::move(mapper),
+                {},
+                {},
+                {},
+                {},
+                {},
+                held_ms};
   run.result.options = impl_->options;
   run.result.device = impl_->device->info().name;
   run.result.source = info;

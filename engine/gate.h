@@ -1,6 +1,7 @@
 #pragma once
 
 #include <condition_variable>
+#include <cstdint>
 #include <mutex>
 #include <utility>
 
@@ -17,8 +18,9 @@ class Brake {
 /// Lets background work (mapping) yield to work with a deadline (tracking).
 ///
 /// The background work is held while something urgent waits or is under way. It is never starved:
-/// when kHeldTurns urgent pieces in a row went by without a moment in which nothing was urgent, it
-/// runs beside the next one. Counts turns and reads no clock, so that it acts the same anywhere.
+/// every release gives whoever waits a slice, however soon the gate is held again, and when
+/// kHeldTurns urgent pieces in a row went by without a moment in which nothing was urgent, it runs
+/// beside the next one. Counts turns and reads no clock, so that it acts the same anywhere.
 /// Thread-safe.
 class Gate {
  public:
@@ -62,7 +64,10 @@ class Gate {
   /// For the background work, between two slices: returns when it may go on.
   void wait() {
     std::unique_lock lock(mutex_);
-    released_.wait(lock, [&] { return !held_; });
+    const auto seen = releases_;
+    ++waiting_;
+    released_.wait(lock, [&] { return !held_ || releases_ != seen; });
+    --waiting_;
   }
 
   /// Holds nothing any more, for good: the run is being stopped.
@@ -75,6 +80,11 @@ class Gate {
   [[nodiscard]] bool held() const {
     const std::lock_guard lock(mutex_);
     return held_;
+  }
+  /// Callers that wait() holds back right now.
+  [[nodiscard]] int waiting() const {
+    const std::lock_guard lock(mutex_);
+    return waiting_;
   }
 
  private:
@@ -92,6 +102,7 @@ class Gate {
     held_ = held;
     if (held) return;
     if (brake_) brake_->release();
+    ++releases_;
     released_.notify_all();
   }
 
@@ -100,6 +111,8 @@ class Gate {
   std::condition_variable released_;
   int urgent_ = 0;  ///< pieces that wait or are under way
   int turns_ = 0;   ///< that ended since nothing was urgent
+  int waiting_ = 0;
+  std::uint64_t releases_ = 0;
   bool held_ = false, opened_ = false;
 };
 

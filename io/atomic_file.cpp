@@ -76,6 +76,28 @@ Expected<fs::path> file_behind(fs::path path) {
   return path;
 }
 
+/// The file that writing to `name` replaces, in a folder that is there.
+Expected<fs::path> target_of(const fs::path& name) {
+  auto path = file_behind(name);
+  if (!path) return path;
+  const fs::path last = path->filename();
+  if (last.empty() || last == "." || last == "..") {
+    return fail(ErrorCode::invalid_argument,
+                name.empty() ? "the file's name is empty" : "is not a file name", name.string());
+  }
+  if (auto ok = make_parent(*path); !ok) return tl::unexpected(ok.error());
+  return path;
+}
+
+/// A new file beside `path`; its name goes to `name`.
+Expected<int> create_beside(const fs::path& path, std::string& name) {
+  // mkostemp picks a name that no other writer has, in the same folder: rename stays atomic.
+  name = path.string() + ".partial-XXXXXX";
+  const int fd = ::mkostemp(name.data(), O_CLOEXEC);
+  if (fd < 0) return io_fault("cannot be created", path, errno);
+  return fd;
+}
+
 Expected<void> write_all(int fd, std::string_view bytes, const fs::path& path) {
   while (!bytes.empty()) {
     const ssize_t n = ::write(fd, bytes.data(), bytes.size());
@@ -165,18 +187,13 @@ Expected<std::string> read_file_bytes(const fs::path& path) {
 }
 
 Expected<void> write_file_atomically(const fs::path& name, std::string_view bytes) {
-  if (name.filename().empty()) {
-    return fail(ErrorCode::invalid_argument,
-                name.empty() ? "the file's name is empty" : "is not a file name", name.string());
-  }
-  const auto behind = file_behind(name);
-  if (!behind) return tl::unexpected(behind.error());
-  const fs::path& path = *behind;
-  if (auto ok = make_parent(path); !ok) return ok;
-  // mkostemp picks a name that no other writer has, in the same folder: rename stays atomic.
-  std::string temporary = path.string() + ".partial-XXXXXX";
-  Descriptor d{::mkostemp(temporary.data(), O_CLOEXEC)};
-  if (d.fd < 0) return io_fault("cannot be created", path, errno);
+  const auto target = target_of(name);
+  if (!target) return tl::unexpected(target.error());
+  const fs::path& path = *target;
+  std::string temporary;
+  const auto created = create_beside(path, temporary);
+  if (!created) return tl::unexpected(created.error());
+  const Descriptor d{*created};
   Expected<void> ok = write_all(d.fd, bytes, path);
   if (ok && ::fchmod(d.fd, 0644) != 0) ok = io_fault("mode cannot be set", path, errno);
   if (ok && ::fsync(d.fd) != 0) ok = io_fault("cannot be synced", path, errno);
@@ -188,6 +205,17 @@ Expected<void> write_file_atomically(const fs::path& name, std::string_view byte
     return ok;
   }
   return sync_path(parent_of(path));
+}
+
+Expected<void> check_file_writable(const fs::path& name) {
+  const auto target = target_of(name);
+  if (!target) return tl::unexpected(target.error());
+  std::string probe;
+  const auto created = create_beside(*target, probe);
+  if (!created) return tl::unexpected(created.error());
+  const Descriptor d{*created};
+  ::unlink(probe.c_str());
+  return {};
 }
 
 AtomicFolder::AtomicFolder(fs::path final_path, fs::path partial, std::string marker, int lock_fd)

@@ -19,6 +19,11 @@ namespace corvid {
 [[nodiscard]] Expected<void> write_file_atomically(const std::filesystem::path& path,
                                                    std::string_view bytes);
 
+/// Whether write_file_atomically() could write there now, found out before long work: the same path
+/// is resolved, the same is refused, and a file beside it is made and removed again. Leaves the
+/// file as it is; makes parent folders. Errors: as write_file_atomically.
+[[nodiscard]] Expected<void> check_file_writable(const std::filesystem::path& path);
+
 /// A folder that appears under its final name whole or not at all.
 ///
 /// Files are written into `path()`, a sibling named "<final>.partial-<pid>"; `commit()` syncs them

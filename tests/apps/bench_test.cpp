@@ -1,9 +1,12 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 
 #include <csignal>
+#include <filesystem>
 #include <nlohmann/json.hpp>
+#include <utility>
 
 #include "program_fixture.h"
 
@@ -14,6 +17,7 @@ using nlohmann::json;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 
 using BenchTest = ProgramTest;
 
@@ -106,6 +110,9 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
       {{"bench", "ncc", "--templates", "11", "--images", "64,9"}, "9x9 px is smaller"},
       {{"bench", "ncc", "--images", "20000"}, "larger than"},
       {{"bench", "ncc", "--json", folder_.string()}, "is a folder"},
+      {{"bench", "ncc", "--json", ""}, "the file's name is empty"},
+      {{"bench", "ncc", "--json", path("new") + "/"}, "is not a file name"},
+      {{"bench", "ncc", "--json", "/dev/null"}, "is not a regular file"},
   };
   for (const Case& c : cases) {
     const Ran ran = corvid_run(c.arguments);
@@ -119,30 +126,41 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
 }
 
 TEST_F(BenchTest, AFileThatCannotBeWrittenIsFoundOutBeforeMeasuring) {
-  const std::string file = write("a_file", "x") + "/ncc.json";
-  const Ran ran = corvid_run({"bench", "ncc", "--json", file});
-  EXPECT_EQ(ran.code, 2);
-  EXPECT_THAT(ran.err, AllOf(HasSubstr("error: "), HasSubstr("a_file")));
-  EXPECT_THAT(ran.out, IsEmpty());
+  const std::string fifo = path("a_fifo"), link = path("a_link");
+  ASSERT_EQ(mkfifo(fifo.c_str(), 0600), 0);
+  std::filesystem::create_symlink("a_fifo", link);
+  const std::string below = write("a_file", "x") + "/ncc.json";
+  for (const auto& [file, said] :
+       {std::pair{below, "a_file"}, {fifo, "a_fifo"}, {link, "a_link"}}) {
+    const Ran ran = corvid_run({"bench", "ncc", "--json", file});
+    EXPECT_EQ(ran.code, 2) << file;
+    EXPECT_THAT(ran.err, AllOf(HasSubstr("error: "), HasSubstr(said)));
+    EXPECT_THAT(ran.err, Not(HasSubstr("preparing"))) << "measured before";
+    EXPECT_THAT(ran.out, IsEmpty());
+  }
 }
 
-// Sends SIGINT to this process when the n-th line goes through it.
+// Sends SIGINT to this process, once, when a line with `text` has gone through it.
 class SignallingBuffer : public std::stringbuf {
  public:
-  explicit SignallingBuffer(int line) : line_(line) {}
+  explicit SignallingBuffer(std::string text) : text_(std::move(text)) {}
 
  protected:
   int sync() override {
-    if (++seen_ == line_) std::raise(SIGINT);
+    if (!sent_ && str().find(text_) != std::string::npos) {
+      sent_ = true;
+      std::raise(SIGINT);
+    }
     return 0;
   }
 
  private:
-  int line_, seen_ = 0;
+  std::string text_;
+  bool sent_ = false;
 };
 
 TEST_F(BenchTest, SigintKeepsTheFinishedRowsAndEndsWith130) {
-  SignallingBuffer buffer(3);  // the line of the first row
+  SignallingBuffer buffer("dense: ");  // the line of the first row
   std::ostringstream out;
   std::ostream err(&buffer);
   const std::string file = path("ncc.json");

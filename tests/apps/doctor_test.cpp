@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "apps/opencl_trouble.h"
+#include "kernels/device.h"
 #include "kernels/vendor_files.h"
 #include "program_fixture.h"
 
@@ -42,7 +43,7 @@ TEST_F(DoctorTest, ReportsEveryTopicAndItsVerdictDecidesTheCode) {
   }
 }
 
-// PoCL reads these once per process: each of the next two needs a process of its own.
+// PoCL reads these once per process: this test needs a process of its own.
 TEST_F(DoctorTest, ACacheThatCannotBeWrittenIsNamedWithItsRemedy) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   const std::string file = write("a_file", "x");
@@ -58,24 +59,52 @@ TEST_F(DoctorTest, ACacheThatCannotBeWrittenIsNamedWithItsRemedy) {
       ::testing::ExitedWithCode(0), "warningexport XDG_CACHE_HOME");
 }
 
-TEST_F(DoctorTest, OthersExplainTheSameTroubles) {
-  EXPECT_FALSE(missing_processors(folder_));
-  const auto missing = missing_processors(folder_ / "absent");
-  ASSERT_TRUE(missing);
-  EXPECT_NE(missing->what.find("/sys"), std::string::npos);
-  EXPECT_NE(missing->remedy.find("mount"), std::string::npos);
+TEST_F(DoctorTest, ProcessorsAreMissedOnlyByPocl) {
+  const std::filesystem::path absent = folder_ / "absent", vendors = folder_ / "vendors";
+  std::filesystem::create_directories(vendors);
+  const std::string gpu = write("vendors/gpu.icd", "libgpu.so\n");
+  EXPECT_FALSE(missing_processors(absent, vendors)) << "no PoCL that would end the process";
+  EXPECT_FALSE(missing_processors(absent, absent));
+  const std::string pocl = write("vendors/cpu.icd", "libpocl.so.2\n");
+  EXPECT_FALSE(missing_processors(folder_, vendors));
+  EXPECT_FALSE(missing_processors(absent, gpu));
+  for (const std::filesystem::path& named : {vendors, std::filesystem::path(pocl)}) {
+    const auto missing = missing_processors(absent, named);
+    ASSERT_TRUE(missing) << named;
+    EXPECT_NE(missing->what.find("/sys"), std::string::npos);
+    EXPECT_NE(missing->remedy.find("mount"), std::string::npos);
+  }
+}
 
+// A process in which OpenCL was not yet loaded: it finds no device without the cache.
+TEST_F(DoctorTest, OthersExplainTheSameTroubles) {
+  if (access("/etc/OpenCL/vendors/pocl.icd", R_OK) != 0) GTEST_SKIP() << "PoCL is not installed";
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  const std::string file = write("a_file", "x");
+  EXPECT_EXIT(
+      {
+        setenv("XDG_CACHE_HOME", file.c_str(), 1);
+        setenv("OCL_ICD_VENDORS", "/etc/OpenCL/vendors/pocl.icd", 1);
+        const Ran ran = corvid_run({"bench", "ncc", "--device", "cpu"});
+        fputs(ran.err.c_str(), stderr);
+        std::exit(ran.code);
+      },
+      ::testing::ExitedWithCode(5),
+      "needs a cache that can be written[^\n]*\n[^\n]*export XDG_CACHE_HOME");
+}
+
+TEST_F(DoctorTest, ADeviceThatIsNotThereIsNotExplainedByTheCache) {
+  const auto devices = list_devices();
+  if (!devices) GTEST_SKIP() << "no OpenCL device";
   const char* before = std::getenv("XDG_CACHE_HOME");
   const std::string kept = before != nullptr ? before : "";
   setenv("XDG_CACHE_HOME", write("a_file", "x").c_str(), 1);
-  const Error device{ErrorCode::device, "no usable OpenCL device", "OpenCL", "install one"};
-  const Error told = explained(device);
-  const Error other = explained({ErrorCode::io, "a full disk", "here", ""});
+  const Ran ran = corvid_run({"bench", "ncc", "--device", "99"});
   before != nullptr ? setenv("XDG_CACHE_HOME", kept.c_str(), 1) : unsetenv("XDG_CACHE_HOME");
-  EXPECT_EQ(other.what, "a full disk");
-  if (access("/etc/OpenCL/vendors/pocl.icd", R_OK) != 0) GTEST_SKIP() << "PoCL is not installed";
-  EXPECT_NE(told.what.find("needs a cache that can be written"), std::string::npos) << told.what;
-  EXPECT_NE(told.hint.find("export XDG_CACHE_HOME"), std::string::npos) << told.hint;
+  EXPECT_EQ(ran.code, 5);
+  EXPECT_NE(ran.err.find("no such OpenCL device"), std::string::npos) << ran.err;
+  EXPECT_NE(ran.err.find("devices are 0: "), std::string::npos) << ran.err;
+  EXPECT_EQ(ran.err.find("cache"), std::string::npos) << ran.err;
 }
 
 TEST_F(DoctorTest, WithoutAnyDriverTheCodeIsFiveAndTheRemedyIsNamed) {

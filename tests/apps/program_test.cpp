@@ -246,8 +246,32 @@ TEST_F(ProgramTest, EvalAlignsAndMeasures) {
       << "a run's folder will do";
   std::filesystem::create_directories(folder_ / "other");
   std::filesystem::copy(t, folder_ / "other/trajectory.txt");
+  write("other/run.json", "{}");
   EXPECT_EQ(corvid_run({"eval", path("run"), path("other"), "--json"}).out, ran.out)
       << "on either side";
+}
+
+TEST_F(ProgramTest, EvalNamesTheFileThatAFolderLacks) {
+  const std::string t = write("t.txt", tum_line(0, false) + tum_line(1, false));
+  std::filesystem::create_directories(folder_ / "empty");
+  const Ran none = corvid_run({"eval", path("empty"), t});
+  EXPECT_EQ(none.code, code(ExitCode::not_found));
+  EXPECT_THAT(none.err, AllOf(HasSubstr(path("empty/trajectory.txt")), HasSubstr("opened")));
+  write("empty/run.json", "{}");
+  const Ran broken = corvid_run({"eval", t, path("empty")});
+  EXPECT_EQ(broken.code, code(ExitCode::not_found));
+  EXPECT_THAT(broken.err, HasSubstr(path("empty/trajectory.txt")));
+}
+
+TEST_F(ProgramTest, EvalTakesNoDataSetForARun) {
+  const std::string t =
+      write("t.txt", tum_line(0, false) + tum_line(1, false) + tum_line(2, false));
+  std::filesystem::create_directories(folder_ / "photos");
+  std::filesystem::copy(t, folder_ / "photos/trajectory.txt");
+  const Ran ran = corvid_run({"eval", t, path("photos")});
+  EXPECT_NE(ran.code, 0) << "its trajectory.txt need not be the truth";
+  EXPECT_THAT(ran.err, HasSubstr("photos"));
+  EXPECT_THAT(ran.out, IsEmpty());
 }
 
 TEST_F(ProgramTest, EvalRefusesWhatCannotBeCompared) {

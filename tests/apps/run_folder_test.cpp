@@ -164,8 +164,22 @@ TEST(RunFolder, ColmapModelIsCopied) {
   ASSERT_TRUE(copy_run_colmap(folder / "run", folder / "out"));
   EXPECT_TRUE(fs::is_regular_file(folder / "out" / "sparse" / "cameras.txt"));
   EXPECT_FALSE(fs::is_empty(folder / "out" / "images"));
-  EXPECT_EQ(copy_run_colmap(folder / "run", folder / "out").error().code,
-            ErrorCode::invalid_argument);
+  const auto again = copy_run_colmap(folder / "run", folder / "out");
+  ASSERT_FALSE(again);
+  EXPECT_EQ(again.error().code, ErrorCode::invalid_argument);
+  EXPECT_NE(again.error().what.find("not empty"), std::string::npos);
+}
+
+TEST(RunFolder, ColmapModelThatCannotBeWrittenSaysWhy) {
+  const TemporaryFolder folder;
+  ASSERT_TRUE(write_run_folder(input_of(made_up_run()), folder / "run"));
+  // An empty folder would be replaced, but the name of the partial one beside it is too long.
+  const fs::path out = folder / std::string(252, 'o');
+  ASSERT_TRUE(fs::create_directory(out));
+  const auto copied = copy_run_colmap(folder / "run", out);
+  ASSERT_FALSE(copied);
+  EXPECT_EQ(copied.error().code, ErrorCode::io);
+  EXPECT_EQ(copied.error().what.find("not empty"), std::string::npos) << copied.error().what;
 }
 
 TEST(RunFolder, KilledWriterLeavesNoHalfFolder) {

@@ -3,9 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <chrono>
+#include <stop_token>
 #include <string>
-#include <thread>
 
 namespace corvid {
 namespace {
@@ -19,22 +18,33 @@ TEST(Median, IsTheMiddleOrTheMeanOfTheTwo) {
 
 TEST(TimeInTurn, RunsEachInTurnAfterOneRunThatDoesNotCount) {
   std::string order;
-  bool first = true;
+  double now_ms = 100;
+  const double lasts_ms[] = {1, 7, 3, 20};  // the first does not count
+  int run = 0;
   const TimedWork works[] = {{[&] {
                                 order += 'a';
-                                // Sleep never ends early: only a run that counts by mistake is
-                                // faster.
-                                if (!first)
-                                  std::this_thread::sleep_for(std::chrono::milliseconds(2));
-                                first = false;
+                                now_ms += lasts_ms[run++];
                               },
-                              [&] { order += '.'; }},
-                             {[&] { order += 'b'; }}};
-  const auto timings = time_in_turn(works, 3, {});
+                              [&] {
+                                order += '.';
+                                now_ms += 1000;
+                              }},
+                             {[&] {
+                               order += 'b';
+                               now_ms += 2;
+                             }}};
+  const auto timings = time_in_turn(works, 3, {}, [&] { return now_ms; });
   EXPECT_EQ(order, ".ab.ab.ab.ab");
   ASSERT_EQ(timings.size(), 2U);
-  EXPECT_GE(timings[0].fastest_ms, 2) << "the first run was not to be timed";
-  EXPECT_GE(timings[0].median_ms, timings[0].fastest_ms);
+  EXPECT_EQ(timings[0].fastest_ms, 3);
+  EXPECT_EQ(timings[0].median_ms, 7);
+  EXPECT_EQ(timings[1].fastest_ms, 2);
+  EXPECT_EQ(timings[1].median_ms, 2);
+}
+
+TEST(TimeInTurn, ItsOwnClockGoesForward) {
+  const double before_ms = wall_ms();
+  EXPECT_GE(wall_ms(), before_ms);
 }
 
 TEST(TimeInTurn, GivesNothingWhenItWasStopped) {

@@ -142,13 +142,14 @@ TEST(Engine, APacedSourceIsDroppedFromNotWaitedFor) {
 /// tracking never rests; it learns of the poses as a sink.
 class Restless final : public FrameSource, public PoseSink {
  public:
-  explicit Restless(std::size_t frames) : frames_(frames), info_(frames_.info()) {
+  explicit Restless(std::size_t frames, std::size_t ahead = 2)
+      : frames_(frames), info_(frames_.info()), ahead_(ahead) {
     info_.paced = true;
   }
   const SourceInfo& info() const override { return info_; }
   Expected<FramePtr> next(const std::stop_token& stop) override {
     std::unique_lock lock(mutex_);
-    posed_.wait(lock, stop, [&] { return given_ < poses_ + 2; });
+    posed_.wait(lock, stop, [&] { return given_ < poses_ + ahead_; });
     ++given_;
     return frames_.next(stop);
   }
@@ -162,6 +163,7 @@ class Restless final : public FrameSource, public PoseSink {
  private:
   Rendered frames_;
   SourceInfo info_;
+  std::size_t ahead_;
   std::mutex mutex_;
   std::condition_variable_any posed_;
   std::size_t given_ = 0, poses_ = 0;
@@ -185,6 +187,33 @@ TEST(Engine, MappingThatYieldsToTrackingStillMapsEveryKeyframe) {
       << *note;
   EXPECT_GT(depth_maps, 2);
   EXPECT_EQ(static_cast<std::size_t>(depth_maps + without + near), result.map->keyframes.size());
+  // It was held back: tracking never rested.
+  const auto held_s = [](const RunResult& r) {
+    double total = 0;
+    for (const StageMetrics& stage : r.stages)
+      if (stage.name == "mapping/held") total += stage.total_s;
+    return total;
+  };
+  EXPECT_GT(held_s(result), 0);
+  Rendered unpaced(30);
+  EXPECT_EQ(held_s(run(unpaced, fast_options(2))), 0);
+}
+
+// Frames that nobody will track any more lie in the queues and hold the gate; mapping waits there.
+TEST(Engine, AFailureWhileMappingIsHeldEndsTheRun) {
+  Restless source(60, 6);
+  struct Broken final : PoseSink {
+    Restless& source;
+    int left = 35;
+    explicit Broken(Restless& s) : source(s) {}
+    void on_pose(const PoseEvent& event) override {
+      if (--left == 0) throw std::logic_error("a bug in the sink");
+      source.on_pose(event);
+    }
+  } sink(source);
+  auto engine = Engine::create(fast_options(2));
+  ASSERT_TRUE(engine);
+  EXPECT_THROW((void)(*engine)->run(source, {&sink, nullptr}), std::logic_error);
 }
 
 TEST(Engine, AStopKeepsWhatThereIs) {

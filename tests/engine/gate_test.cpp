@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <chrono>
+#include <future>
 #include <optional>
 #include <string>
 #include <thread>
@@ -60,6 +62,18 @@ TEST(Gate, AMomentOfRestStartsTheCountAnew) {
     const Gate::Turn turn = gate.enter();
     EXPECT_TRUE(gate.held()) << i;
   }
+}
+
+TEST(Gate, AReleaseGivesASliceHoweverShortItIs) {
+  Gate gate;
+  std::optional<Gate::Turn> turn = gate.enter();
+  auto slice = std::async(std::launch::async, [&] { gate.wait(); });
+  while (gate.waiting() == 0) std::this_thread::yield();
+  turn.reset();
+  turn = gate.enter();  // held again before the other thread can have looked
+  EXPECT_EQ(slice.wait_for(std::chrono::seconds(60)), std::future_status::ready);
+  EXPECT_TRUE(gate.held());
+  gate.open();
 }
 
 TEST(Gate, ADroppedFrameGivesItsTurnBack) {
