@@ -30,7 +30,7 @@ class Buffer {
 
   /// Elements are kept while the capacity suffices, lost when it grows.
   void resize(std::size_t size) {
-    if (size > capacity_) grow(std::max(size, capacity_ + capacity_ / 2));
+    if (size > capacity_) grow(size);
     size_ = size;
   }
 

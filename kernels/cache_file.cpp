@@ -5,7 +5,7 @@
 
 #include <atomic>
 #include <fstream>
-#include <iterator>
+#include <sstream>
 
 namespace corvid {
 namespace fs = std::filesystem;
@@ -22,9 +22,13 @@ std::uint64_t fnv1a(std::string_view bytes) {
 std::optional<std::string> read_cache_file(const fs::path& path) {
   std::ifstream file(path, std::ios::binary);
   if (!file) return std::nullopt;
-  std::string bytes{std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
-  if (file.bad()) return std::nullopt;
-  return bytes;
+  // An iterator over the buffer would throw for a folder.
+  std::ostringstream bytes;
+  if (file.peek() == std::ifstream::traits_type::eof())
+    return file.bad() ? std::nullopt : std::optional<std::string>("");
+  bytes << file.rdbuf();
+  if (file.bad() || !bytes) return std::nullopt;
+  return std::move(bytes).str();
 }
 
 std::error_code write_cache_file(const fs::path& path, std::string_view bytes) {

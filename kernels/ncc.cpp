@@ -68,7 +68,8 @@ std::string weight_list(NccWeights kind, int side, const std::vector<double>& gi
   for (std::size_t i = 0; i < weights.size(); ++i) {
     const double r = static_cast<double>(i) - side / 2;
     if (kind == NccWeights::gaussian) weights[i] = std::exp(-0.5 * r * r / (sigma * sigma));
-    if (kind == NccWeights::separable) weights[i] = given[i];
+    if (kind == NccWeights::separable)
+      weights[i] = given[i] / *std::max_element(given.begin(), given.end());
     sum += weights[i];
   }
   for (double& w : weights) w /= sum;
@@ -120,20 +121,17 @@ Expected<NccMatcher> NccMatcher::create(std::shared_ptr<Device> device, std::str
   return matcher;
 }
 
-bool NccMatcher::integer_by_default(PixelFormat format) const {
-  return format == PixelFormat::grey8 && !groups_ && multiplies_pairs();
-}
-
 Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, PixelFormat format,
                                                    NccVariant variant) {
   if (auto error = check_options(options)) return tl::unexpected(std::move(*error));
   const int width = options.template_px, height = height_of(options);
   const bool uniform = options.weights == NccWeights::uniform;
   const bool floats = format == PixelFormat::float32;
-  const bool integer =
-      !floats && (variant == NccVariant::by_device || variant == NccVariant::frequency
-                      ? integer_by_default(format)
-                      : variant == NccVariant::integer);
+  // With other weights 16 bits are not enough for the taps at the template's border.
+  const bool integer = !floats && uniform &&
+                       (variant == NccVariant::by_device || variant == NccVariant::frequency
+                            ? !groups_ && multiplies_pairs()
+                            : variant == NccVariant::integer);
   const PieceSize piece = groups_ ? kGroupPiece : kCpuPiece;
   const std::string key = fmt::format(
       "-DTW={} -DTH={} -DWEIGHTS_X={} -DWEIGHTS_Y={} -DLANES={} -DROWS={} -DPIECE_W={} "
@@ -152,9 +150,8 @@ Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, Pi
   return opening_on_device(*device_, [&] {
     const auto kernel = [&](const char* name) { return cl::Kernel(*program, name); };
     return &kernels_
-                .emplace(key, Kernels{width, height, integer, integer && uniform, stored,
-                                      kernel("templates"), kernel("denominators"), kernel("pieces"),
-                                      kernel("finish")})
+                .emplace(key, Kernels{width, height, integer, stored, kernel("templates"),
+                                      kernel("denominators"), kernel("pieces"), kernel("finish")})
                 .first->second;
   });
 }
@@ -313,14 +310,15 @@ void NccMatcher::complete_denominators(Kernels& kernels, const DeviceImage& targ
   const int first_x = kernels.width / 2, first_y = kernels.height / 2;
   const int tiles_x = divide_up(target.width_px - 2 * first_x, tile_width);
   std::vector<std::int32_t> missing;
+  std::vector<bool> done = kept.done;
   for (const DeviceJob& job : jobs_) {
     const int right = (job.x + job.width - 1 - first_x) / tile_width;
     const int bottom = (job.y + job.height - 1 - first_y) / kBoxRows;
     for (int y = (job.y - first_y) / kBoxRows; y <= bottom; ++y)
       for (int x = (job.x - first_x) / tile_width; x <= right; ++x) {
         const int tile = y * tiles_x + x;
-        if (kept.done[static_cast<std::size_t>(tile)]) continue;
-        kept.done[static_cast<std::size_t>(tile)] = true;
+        if (done[static_cast<std::size_t>(tile)]) continue;
+        done[static_cast<std::size_t>(tile)] = true;
         missing.push_back(tile);
       }
   }
@@ -338,6 +336,7 @@ void NccMatcher::complete_denominators(Kernels& kernels, const DeviceImage& targ
                   kept.inverses.cl());
     launch(kernels.denominators, static_cast<int>(missing.size()), lane);
   });
+  kept.done = std::move(done);  // only now: any of the above may have failed
 }
 
 // Coefficients of the largest piece: a rim of one candidate and whole blocks; vectors are read from

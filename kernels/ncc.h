@@ -58,15 +58,17 @@ struct NccOptions {
   /// (thesis 3.2), which is biased by up to some 0.3 px where the texture is smooth.
   int align_iterations = 8;
   /// Device memory for a batch of jobs (templates, maxima, results): batches are cut to it. A
-  /// single job takes what it needs even beyond it. The target's denominators, 8 bytes per pixel
-  /// and kept for the next call, come on top. Results do not depend on it.
+  /// single job takes what it needs even beyond it. Denominators that are kept, 8 bytes per pixel
+  /// of up to 8 images, some 200 MB at most or one image, come on top. Results do not depend on it.
   std::size_t memory_budget_bytes = std::size_t{64} << 20;
 };
 
 /// How the work is done. integer: 16-bit integer taps and 32-bit sums, exact but for the taps'
-/// rounding, 8-bit images only (x86 CPUs). real: single precision, a strip per work-item (CPUs).
-/// group: single precision, a square per work-group (GPUs). These agree within 2e-5.
-/// frequency: score() by Fourier transforms on the host, within 1e-4; match() as by_device (CPUs).
+/// rounding, 8-bit images and uniform weights (x86 CPUs); otherwise as real. real: single
+/// precision, a strip per work-item (CPUs). group: single precision, a square per work-group
+/// (GPUs). These agree within 2e-5 where the template has texture; within 4e-4 where it is flat but
+/// for single pixels. frequency: score() by Fourier transforms on the host, within 1e-4; match() as
+/// by_device (CPUs).
 enum class NccVariant { by_device, integer, real, group, frequency };
 
 /// Coefficients of one job on the pixel grid, on the device.
@@ -139,8 +141,7 @@ class NccMatcher {
   };
   struct Kernels {
     int width, height;  // of the template
-    bool integer;
-    bool fused_box;  // denominators are computed with the coefficients
+    bool fused_box;     // denominators are computed with the coefficients
     std::size_t stored_floats;
     cl::Kernel templates, denominators, pieces, finish;
   };
@@ -156,7 +157,6 @@ class NccMatcher {
   [[nodiscard]] static bool place(const NccJob& job, const DeviceImage& reference,
                                   const DeviceImage& target, const Kernels& kernels,
                                   DeviceJob& out);
-  [[nodiscard]] bool integer_by_default(PixelFormat format) const;
   Expected<Kernels*> kernels(const NccOptions& options, PixelFormat format, NccVariant variant);
   Kernels& checked_kernels(const DeviceImage& reference, const DeviceImage& target,
                            const NccOptions& options, NccVariant variant);

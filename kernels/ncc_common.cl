@@ -6,7 +6,7 @@
 // that C = (sum t' S - (sum t') s4) / sqrt(s5 - s4^2): one inner product per candidate.
 // Options: TW, TH template size (odd); WEIGHTS_X, WEIGHTS_Y its comma-separated 1-d weights, each of
 // sum 1 (w is their product); UNIFORM if they are all equal; FLOAT_IMAGE if pixels are floats, else
-// they are 8-bit; INTEGER for 16-bit integer numerators; LANES 32-bit numbers per vector (4, 8, 16);
+// they are 8-bit; INTEGER for 16-bit integer numerators (8-bit, UNIFORM); LANES 32-bit numbers per vector (4, 8, 16);
 // ROWS candidate rows per register tile; PIECE_W, PIECE_H candidates of a piece at most.
 // Layout: images row-major, pitch = width, readable 512 bytes past the end. A stored template is
 // STORED floats: t' as TH rows of TEMPLATE_PITCH, zero past TW; then `sum` and `factor` with which
@@ -119,13 +119,23 @@ inline intv load_pairs(const short* p) {
 #define EXACT_BOX 0
 #endif
 
+// What sums are taken relative to, so that they stay small: the middle one of three pixels of the
+// first footprint, `first`, since one may be an outlier or not a number.
+inline float finite_or_zero(float v) { return isfinite(v) ? v : 0.0f; }
+inline float pick_origin(__global const PIXEL* first, int width) {
+  const float a = finite_or_zero((float)first[0]),
+              b = finite_or_zero((float)first[(size_t)HALF_H * width + HALF_W]),
+              c = finite_or_zero((float)first[(size_t)(TH - 1) * width + TW - 1]);
+  return fmax(fmin(a, b), fmin(fmax(a, b), c));
+}
+
 // Footprints of less variance have no score.
 #define MIN_WEIGHTED_VARIANCE 0.1f  // grey^2, of 8-bit images with weights
 #define MIN_RELATIVE_VARIANCE 1e-10f  // of the mean squared, of float images
 #define MIN_VARIANCE 1e-30f
 // A variance of this share of the mean squared, as the difference of two sums, is not exact to 1e-4;
 // one below minus the other share is no rounding.
-#define LOST_DIGITS 2e-3f
+#define LOST_DIGITS 1e-2f
 #define LEAST_DIGITS 1e-5f
 
 typedef struct {

@@ -84,11 +84,11 @@ void NccMatcher::score_as(NccVariant variant, const DeviceImage& reference,
                           const DeviceImage& target, const DeviceJob& job,
                           const NccOptions& options, NccScores& out, Lane lane) {
   Kernels& kernels = checked_kernels(reference, target, options, variant);
+  out.scores.resize(static_cast<std::size_t>(job.width) * static_cast<std::size_t>(job.height));
   out.x_px = job.x;
   out.y_px = job.y;
   out.width_px = job.width;
   out.height_px = job.height;
-  out.scores.resize(static_cast<std::size_t>(job.width) * static_cast<std::size_t>(job.height));
   jobs_.clear();
   piece_list_.clear();
   add_job(job);

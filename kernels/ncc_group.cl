@@ -21,12 +21,6 @@ typedef int box_t;
 typedef float box_t;
 #endif
 
-#ifdef FLOAT_IMAGE
-#define ORIGIN(pixel) (isfinite((float)(pixel)) ? (float)(pixel) : 0.0f)
-#else
-#define ORIGIN(pixel) (float)(pixel)
-#endif
-
 // Mean and 1 / standard deviation (0: none) of the footprints centred on the target's pixels; a
 // tile has SCORED_W x SCORED_H of them, in the order of rows.
 ONE_GROUP __kernel void denominators(__global const PIXEL* restrict target, int width, int height,
@@ -38,8 +32,7 @@ ONE_GROUP __kernel void denominators(__global const PIXEL* restrict target, int 
   const int lane = get_local_id(0), index = tiles[get_group_id(0)];
   const int x = HALF_W + (index % tiles_x) * SCORED_W, y = HALF_H + (index / tiles_x) * SCORED_H;
   __global const PIXEL* source = target + (size_t)(y - HALF_H) * width + x - HALF_W;
-  // Sums of squares stay small relative to a pixel nearby.
-  const box_t origin = EXACT_BOX ? 0 : (box_t)ORIGIN(source[(size_t)HALF_H * width + HALF_W]);
+  const box_t origin = EXACT_BOX ? 0 : (box_t)pick_origin(source, width);
   for (int i = lane; i < PATCH_H * PATCH_W; i += GROUP) {
     const int r = i / PATCH_W, c = i % PATCH_W;
     const bool inside = y - HALF_H + r < height && x - HALF_W + c < width;
@@ -134,7 +127,7 @@ ONE_GROUP __kernel void pieces(__global const PIXEL* restrict target, int target
   const int rows = min(piece.y + piece.height + 1, job->height) - y0;
   const int x = job->x + x0, y = job->y + y0;
   __global const PIXEL* source = target + (size_t)(y - HALF_H) * target_width + x - HALF_W;
-  const float origin = ORIGIN(source[HALF_W]);
+  const float origin = pick_origin(source, target_width);
   for (int i = lane; i < PATCH_H * PATCH_W; i += GROUP) {
     const int r = i / PATCH_W, c = i % PATCH_W;
     patch[i] = r < rows + TH - 1 && c < columns + TW - 1

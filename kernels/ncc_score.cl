@@ -103,8 +103,7 @@ __kernel void denominators(__global const PIXEL* restrict target, int width, int
     const floatv m[2] = {ZIP_LOW(mean[0], mean[1]), ZIP_HIGH(mean[0], mean[1])};
     const floatv v[2] = {ZIP_LOW(inverse[0], inverse[1]), ZIP_HIGH(inverse[0], inverse[1])};
 #else
-  // Relative to a pixel nearby, which keeps the sums of squares small.
-  const float origin = (float)target[(size_t)y * width + x];
+    const float origin = pick_origin(source, width);
   float columns[BOX_ROWS][BOX_PITCH], columns2[BOX_ROWS][BOX_PITCH];
   for (int r = 0; r < rows; ++r)
     for (int c = 0; c < BOX_PITCH; c += LANES) {
@@ -181,7 +180,6 @@ typedef short patch_t;
 typedef int tap_t;
 typedef intv accv;
 #define STORE_PATCH(v, p) STORE_SHORTS(v, p)
-#define ORIGIN(pixel) 0.0f
 #define READ_UNIT(p) LOAD_PAIRS(p)
 #define ACCUMULATE(acc, s, w) acc += MULTIPLY_PAIRS(s, (intv)(w))
 #else
@@ -189,18 +187,11 @@ typedef intv accv;
 typedef float patch_t;
 typedef float tap_t;
 typedef floatv accv;
-// Relative to a pixel of the block, which keeps the sums small.
 #define STORE_PATCH(v, p) VSTORE(TO_FLOAT(v) - origin, p)
-#define ORIGIN(pixel) (isfinite((float)(pixel)) ? (float)(pixel) : 0.0f)
 #define READ_UNIT(p) VLOAD(p)
 #define ACCUMULATE(acc, s, w) acc = fma(s, (floatv)(w), acc)
 #endif
 #define BLOCK (OFFSETS * LANES)
-#if EXACT_BOX && defined(INTEGER)
-#define FUSED_BOX 1  // as fast as reading them: beside the numerators the sums are cheap
-#else
-#define FUSED_BOX 0
-#endif
 #define PATCH_ROWS (PIECE_H + 2 + TH - 1 + ROWS)
 #define PATCH_PITCH (((BLOCK + TW + LANES - 1) / LANES) * LANES)
 #define SCORED_ROWS (PIECE_H + 2)
@@ -244,21 +235,21 @@ inline void numerators(const patch_t* patch, const tap_t* taps, accv* out) {
 // Coefficients of `columns` x `rows` candidates, rows <= SCORED_ROWS; the first is centred at the
 // target's pixel (x, y).
 inline void score(__global const PIXEL* target, int width, const tap_t* taps, float sum,
-                  float factor, __global const float* means, __global const float* inverses, int x, int y, int columns, int rows,
-                  __local float* out, int out_pitch) {
+                  float factor, __global const float* means, __global const float* inverses, int x,
+                  int y, int columns, int rows, __local float* out, int out_pitch) {
   patch_t patch[PATCH_ROWS * PATCH_PITCH];
-#if FUSED_BOX
+#ifdef INTEGER  // uniform weights: denominators beside the numerators
   RowSums box[SCORED_ROWS + TH - 1];
 #endif
   for (int left = 0; left < columns; left += BLOCK) {
     __global const PIXEL* source = target + (size_t)(y - HALF_H) * width + x + left - HALF_W;
-#if !FUSED_BOX
-    const float origin = ORIGIN(source[HALF_W]);
+#ifndef INTEGER
+    const float origin = pick_origin(source, width);
 #endif
     for (int r = 0; r < rows + TH - 1; ++r)
       for (int c = 0; c < PATCH_PITCH; c += LANES)
         STORE_PATCH(VLOAD(source + (size_t)r * width + c), patch + r * PATCH_PITCH + c);
-#if FUSED_BOX
+#ifdef INTEGER
     intv s[2] = {0, 0}, squares[2] = {0, 0};
     for (int r = 0; r < rows + TH - 1; ++r) box[r] = row_sums(patch + r * PATCH_PITCH);
     for (int r = 0; r < TH - 1; ++r)
@@ -283,7 +274,7 @@ inline void score(__global const PIXEL* target, int width, const tap_t* taps, fl
 #else
         number[0] = acc[j];
 #endif
-#if FUSED_BOX
+#ifdef INTEGER
         floatv m[2], v[2];
 #pragma unroll
         for (int o = 0; o < 2; ++o) {
@@ -411,7 +402,7 @@ __kernel void pieces(__global const PIXEL* restrict target, int target_width,
     for (int y = 0; y < piece.height; ++y) {
       __global float* out = map + (size_t)(piece.y + y) * job->width + piece.x;
       int x = 0;
-      for (; x + LANES <= piece.width; x += LANES) 
+      for (; x + LANES <= piece.width; x += LANES)
         STORE_FLOATS(__global, VLOAD(first + y * pitch + x), out + x);
       for (; x < piece.width; ++x) out[x] = first[y * pitch + x];
     }

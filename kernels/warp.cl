@@ -5,7 +5,9 @@
 // Launch with LANES 16, for CPUs: x >= ceil(height / rows) items, each makes `rows` rows; with
 // LANES 1, for GPUs: x >= width, y >= height, one pixel each.
 
+#ifdef cl_khr_fp64
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
+#endif
 
 #ifdef CORVID_PLANT_FAULT
 #define HALF_PIXEL 0.1f
@@ -140,9 +142,10 @@ inline floats by_map(const Source* in, __global const float* map, int width, int
 #endif
 }
 
-// The homography h, row by row. In double precision at one lane, the nearest to the viewer; from
-// there p(lane) - p(there) = (lane - there) (h_0 - p h_6) / z(lane) is exact and may be computed
-// in single precision: it is small.
+#ifdef cl_khr_fp64
+// The homography h, row by row. In double precision at one lane, the one with the largest third
+// coordinate; from there p(lane) - p(there) = (lane - there) (h_0 - p h_6) / z(lane) is exact and
+// may be computed in single precision: it is small.
 typedef struct {
   double h0, h1, h2, h3, h4, h5, h6, h7, h8;
 } Homography;
@@ -161,6 +164,8 @@ inline floats by_homography(const Source* in, const Homography* h, int x, int y)
                 select(nowhere, (float)px + scale * (float)(h->h0 - px * h->h6), before),
                 select(nowhere, (float)py + scale * (float)(h->h3 - py * h->h6), before));
 }
+
+#endif
 
 #if LANES == 16
 #define EACH_VECTOR                                                                              \
@@ -182,6 +187,7 @@ __kernel void remap(__global const pixel* restrict in, int in_width, int in_heig
   }
 }
 
+#ifdef cl_khr_fp64
 __kernel void homography(__global const pixel* restrict in, int in_width, int in_height,
                          __global pixel* restrict out, int width, int height, int rows, double h0,
                          double h1, double h2, double h3, double h4, double h5, double h6,
@@ -192,3 +198,4 @@ __kernel void homography(__global const pixel* restrict in, int in_width, int in
     store_pixels(out + (size_t)y * width + x, by_homography(&source, &h, x, y), width - x);
   }
 }
+#endif

@@ -111,11 +111,11 @@ Eigen::Matrix3d homography_between(const Camera& from, const Camera& to,
 
 Warper::Warper(std::shared_ptr<Device> device, PixelFormat format, bool gpu,
                const cl::Program& program)
-    : device_(std::move(device)),
-      format_(format),
-      gpu_(gpu),
-      remap_(program, "remap"),
-      homography_(program, "homography") {}
+    : device_(std::move(device)), format_(format), gpu_(gpu), remap_(program, "remap") {
+  const auto extensions = device_->device().getInfo<CL_DEVICE_EXTENSIONS>();
+  if (extensions.find("cl_khr_fp64") != std::string::npos)
+    homography_ = cl::Kernel(program, "homography");
+}
 
 Expected<Warper> Warper::create(std::shared_ptr<Device> device, const std::string& extra_options,
                                 PixelFormat format, KernelKind kind) {
@@ -175,6 +175,9 @@ DeviceImage Warper::remap(const DeviceImage& source, const DeviceWarpMap& map, L
 DeviceImage Warper::warp(const DeviceImage& source, const Eigen::Matrix3d& H_source_warped,
                          int width_px, int height_px, Lane lane) {
   const Eigen::Matrix3d& H = H_source_warped;
+  // A device without double precision gets a map.
+  if (homography_() == nullptr)
+    return remap(source, upload(WarpMap::homography(H, width_px, height_px), lane), lane);
   return run(homography_, source, width_px, height_px, lane, H(0, 0), H(0, 1), H(0, 2), H(1, 0),
              H(1, 1), H(1, 2), H(2, 0), H(2, 1), H(2, 2));
 }

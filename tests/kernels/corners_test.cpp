@@ -137,6 +137,12 @@ TEST(Corners, OfBothKindsOfKernelAreTheSame) {
         }
         // In the same order but for those of nearly the same strength.
         EXPECT_NEAR(a[i].lambda_min, b[i].lambda_min, 1e-4 * a[0].lambda_min);
+        const auto twin = std::find_if(b.begin(), b.end(), [&](const Corner& other) {
+          return std::abs(other.x_px - a[i].x_px) < 0.01F &&
+                 std::abs(other.y_px - a[i].y_px) < 0.01F &&
+                 std::abs(other.harris - a[i].harris) <= 1e-3F * std::abs(a[0].harris);
+        });
+        EXPECT_NE(twin, b.end()) << a[i].x_px << " " << a[i].y_px;
       }
     }
   EXPECT_GT(found, 1000U);

@@ -195,7 +195,7 @@ TEST(Program, KernelsCompileWithoutADevice) {
                     uniform = size +
                               "-DUNIFORM -DINTEGER -DLANES=16 -DROWS=4 -DPIECE_W=704 "
                               "-DPIECE_H=32",
-                    weighted = size + "-DINTEGER -DLANES=8 -DROWS=4 -DPIECE_W=704 -DPIECE_H=32",
+                    weighted = size + "-DLANES=8 -DROWS=4 -DPIECE_W=704 -DPIECE_H=32",
                     floats = size + "-DFLOAT_IMAGE -DLANES=4 -DROWS=4 -DPIECE_W=704 -DPIECE_H=32",
                     group = size + "-DLANES=4 -DROWS=8 -DPIECE_W=30 -DPIECE_H=30";
   // Families that want build options or the files that stand before them; each line is tried.
