@@ -153,7 +153,7 @@ TEST_F(RecorderTest, RefusesWhatItCannotDo) {
   write(folder / "file", "");
   const auto blocked = Recorder::open(folder / "file", flight.info());
   ASSERT_FALSE(blocked.has_value());
-  EXPECT_EQ(blocked.error().code, ErrorCode::io);
+  EXPECT_EQ(blocked.error().code, ErrorCode::invalid_argument);
 }
 
 TEST_F(RecorderTest, StopsWhenAskedTo) {
