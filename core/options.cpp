@@ -78,6 +78,34 @@ std::vector<std::string> FrontendOptions::validate() const {
   return p.take();
 }
 
+std::vector<std::string> DisambiguationOptions::validate() const {
+  Problems p("matching.disambiguation");
+  p.positive("max_epipolar_px", max_epipolar_px);
+  p.above_one("ratio_highest_scores", ratio_highest_scores);
+  p.above_one("ratio_epipolar", ratio_epipolar);
+  p.above_one("ratio", ratio);
+  p.positive("global_px", global_px);
+  p.positive("affine_px", affine_px);
+  p.in("topology_neighbours", topology_neighbours, 0, 100);
+  p.at_least("min_matches", min_matches, 8);
+  return p.take();
+}
+
+std::vector<std::string> MatchingOptions::validate() const {
+  Problems p("matching");
+  p.in("max_points", max_points, 50, 1000000);
+  p.in("corner_quality", corner_quality, 0.0, 1.0);
+  p.in("harris_kappa", harris_kappa, 0.0, 0.25);
+  p.template_side("template_px", template_px);
+  p.in("peak_quality", peak_quality, 0.0, 1.0);
+  p.in("min_score", min_score, 0.01, 1.0);
+  p.above_one("corner_score_ratio", corner_score_ratio);
+  p.in("window_frames", window_frames, 2, 100);
+  auto all = p.take();
+  for (std::string& problem : disambiguation.validate()) all.push_back(std::move(problem));
+  return all;
+}
+
 std::vector<std::string> BackendOptions::validate() const {
   Problems p("backend");
   p.in("start_min_parallax_rad", start_min_parallax_rad, 0.0, 1.5);
@@ -114,6 +142,7 @@ std::vector<std::string> Options::validate() const {
     all.insert(all.end(), std::make_move_iterator(more.begin()),
                std::make_move_iterator(more.end()));
   };
+  append(matching.validate());
   append(backend.validate());
   append(mapping.validate());
   Problems p("");

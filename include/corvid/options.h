@@ -24,6 +24,38 @@ struct FrontendOptions {
   [[nodiscard]] std::vector<std::string> validate() const;
 };
 
+/// Which candidates of a feature are believed (algorithms.md 4).
+struct DisambiguationOptions {
+  /// Modules that run (thesis 4.4.4 to 4.4.11); `unique` and `fundamental` always do.
+  bool highest_scores = true, epipolar = true, sectors = true, affine_transfer = true,
+       topology = true, epipolar_transfer = true;
+  /// tau_f [px]: Sampson distance (not squared) of a match to F; 0.2 in thesis 4.4.2.
+  double max_epipolar_px = 0.2;
+  double ratio_highest_scores = 1.1;  ///< tau_hsr (thesis 4.4.4)
+  double ratio_epipolar = 10;         ///< tau_ratio of the epipolar module (thesis 4.4.5)
+  double ratio = 1.5;                 ///< tau_ratio elsewhere (thesis 4.4.3)
+  double global_px = 2.0;             ///< tau_global elsewhere [px] (thesis 4.4.3)
+  double affine_px = 10;              ///< tau_affine (thesis 4.4.9) [px]
+  int topology_neighbours = 1;        ///< n_m: as many common neighbours or fewer: withdrawn
+  int min_matches = 16;               ///< fewer that agree on F: no geometry
+  std::uint64_t seed = 1;             ///< of RANSAC
+  [[nodiscard]] std::vector<std::string> validate() const;
+};
+
+/// Matching of image pairs: keyframes and stills (algorithms.md 3).
+struct MatchingOptions {
+  int max_points = 8000;          ///< interest points per image
+  double corner_quality = 0.001;  ///< Q_c, see FrontendOptions
+  double harris_kappa = 0.04;     ///< Harris-Stephens kappa (thesis 4.2)
+  int template_px = 11;           ///< NCC template side (thesis 4.1)
+  double peak_quality = 0.85;     ///< Q_m (thesis 4.3.1)
+  double min_score = 0.7;         ///< NCC score below which nothing is a match
+  double corner_score_ratio = 5;  ///< tau_c: weak-corner removal (thesis 4.3.2)
+  int window_frames = 4;          ///< R_f: frames of the sliding window (thesis 4.1)
+  DisambiguationOptions disambiguation;
+  [[nodiscard]] std::vector<std::string> validate() const;
+};
+
 /// Start, resection, triangulation, windowed bundle adjustment (algorithms.md 6).
 struct BackendOptions {
   double start_min_parallax_rad = 0.02;  ///< median ray angle of the two starting keyframes
@@ -55,6 +87,7 @@ struct MappingOptions {
 
 struct Options {
   FrontendOptions frontend;
+  MatchingOptions matching;
   BackendOptions backend;
   MappingOptions mapping;
   std::string device = "auto";  ///< OpenCL device: auto, cpu, gpu, or an index from `corvid doctor`

@@ -1,0 +1,99 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/stopwatch.h"
+#include "corvid/camera.h"
+#include "corvid/error.h"
+#include "corvid/image.h"
+#include "corvid/options.h"
+#include "frontend/disambiguate/disambiguate.h"
+#include "frontend/disambiguate/match_sets.h"
+#include "kernels/corners.h"
+#include "kernels/ncc.h"
+#include "kernels/pyramid.h"
+
+namespace corvid {
+
+/// One image made ready for matching: its pyramid, and the points that are looked for elsewhere
+/// when it is the reference.
+struct MatchView {
+  Camera camera;
+  std::shared_ptr<const DevicePyramid> pyramid;
+  std::vector<Eigen::Vector2d> points;  ///< interest points, full resolution [px, distorted]
+  std::vector<float> corner_scores;     ///< lambda_min of each point
+};
+
+/// A match of one interest point.
+struct PairMatch {
+  std::size_t point = 0;                                     ///< index into the reference's points
+  Eigen::Vector2d x_r = Eigen::Vector2d::Zero(), x_t = x_r;  ///< [px, distorted]
+  float score = 0;                                           ///< NCC
+  /// Of x_t, from the shape of the correlation peak [px^2].
+  Eigen::Matrix2d covariance_px2 = Eigen::Matrix2d::Identity();
+  Eigen::Matrix2d warp = Eigen::Matrix2d::Identity();  ///< offsets: target -> reference
+};
+
+/// Why an interest point has no match.
+enum class NoMatch {
+  no_candidate,  ///< no peak in its window, or its template leaves the image
+  ambiguous,     ///< several candidates were left, and no module could tell
+  geometry,      ///< against the epipolar geometry
+  weak_corner,   ///< only candidates in flat image parts
+  topology,      ///< against its neighbours
+};
+struct UnmatchedPoint {
+  std::size_t point = 0;
+  NoMatch reason = NoMatch::no_candidate;
+  std::vector<Eigen::Vector2d> candidates;  ///< those that were left, or the one refused [px]
+};
+
+/// What matching two images gave.
+struct PairMatches {
+  std::vector<PairMatch> matches;         ///< ascending by point
+  std::vector<UnmatchedPoint> unmatched;  ///< ascending by point; with matches: every point
+  /// x_t^T F x_r = 0 on undistorted pixels (undistort_pixel()); nothing if the images do not show
+  /// the same scene as far as can be told, and then there are no matches.
+  std::optional<Eigen::Matrix3d> F;
+  std::string refusal;                  ///< why there is no geometry, for the user; else empty
+  DisambiguationReport disambiguation;  ///< modules' counts at full resolution
+  Timings timings;                      ///< [ms] by step
+};
+
+/// What is known before matching; everything may be missing.
+struct PairKnowledge {
+  std::optional<Eigen::Matrix3d> F;               ///< from poses: the coarse step is skipped
+  std::span<const AuxiliaryView> auxiliary = {};  ///< images matched to the reference before
+};
+
+/// Matches two images by NCC (algorithms.md 3 and 4): from nothing (full search at a coarse level,
+/// if need be over all turns and scales) or from known geometry; then level by level with
+/// templates warped by the affinity of the neighbouring matches; candidates are told apart by
+/// disambiguate().
+///
+/// Deterministic. One owner; not thread-safe. Throws DeviceFault.
+class PairMatcher {
+ public:
+  [[nodiscard]] static Expected<std::unique_ptr<PairMatcher>> create(
+      std::shared_ptr<Device> device, const MatchingOptions& options);
+  ~PairMatcher();
+
+  /// @param carried  points that shall be looked for whatever the corners are (tracks); they come
+  ///                 first in MatchView::points, in their order. Corners keep away from them.
+  [[nodiscard]] MatchView prepare(const GreyImage& image, const Camera& camera,
+                                  std::span<const Eigen::Vector2d> carried = {});
+  [[nodiscard]] PairMatches match(const MatchView& reference, const MatchView& target,
+                                  const PairKnowledge& known = {});
+
+ private:
+  struct Impl;
+  explicit PairMatcher(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace corvid
