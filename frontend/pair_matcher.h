@@ -26,7 +26,8 @@ struct MatchView {
   Camera camera;
   std::shared_ptr<const DevicePyramid> pyramid;
   std::vector<Eigen::Vector2d> points;  ///< interest points, full resolution [px, distorted]
-  std::vector<float> corner_scores;     ///< lambda_min of each point
+  /// Corners of the levels above 0, which lead the search down to them, full resolution [px].
+  std::vector<std::vector<Eigen::Vector2d>> level_points;
 };
 
 /// A match of one interest point.

@@ -19,12 +19,6 @@ float position_sigma_px(const NccPeak& peak) {
   return static_cast<float>(std::clamp(std::sqrt(residual / std::max(weak, 1e-3)), 0.1, 4.0));
 }
 
-SearchCandidate to_candidate(const NccPeak& peak, int level) {
-  const double scale = std::ldexp(1.0, level);
-  return {Eigen::Vector2d(peak.x_px, peak.y_px) * scale, peak.score,
-          position_sigma_px(peak) * static_cast<float>(scale)};
-}
-
 /// Half the side of the square that holds the warped template.
 double warped_half_side(const Eigen::Matrix2d& warp, int template_px) {
   return 0.5 * (template_px - 1) * warp.cwiseAbs().rowwise().sum().maxCoeff() + 1;
@@ -37,6 +31,12 @@ bool fits(const DeviceImage& image, const Eigen::Vector2d& pixel, double border_
 }
 
 }  // namespace
+
+SearchCandidate to_candidate(const NccPeak& peak, int level) {
+  const double scale = std::ldexp(1.0, level);
+  return {Eigen::Vector2d(peak.x_px, peak.y_px) * scale, peak.score,
+          position_sigma_px(peak) * static_cast<float>(scale)};
+}
 
 std::vector<NccResult> TrackSearch::match_level(const DevicePyramid& target,
                                                 std::span<const SearchQuery> queries,

@@ -25,6 +25,9 @@ struct SearchCandidate {
   float sigma_px = 1;  ///< from the curvature of the correlation peak and its distance from 1
 };
 
+/// A peak found in a pyramid level, in units of the full resolution.
+[[nodiscard]] SearchCandidate to_candidate(const NccPeak& peak, int level);
+
 /// Coarse to fine: which pyramid level first, how far around the prediction [px of that level], and
 /// how far at each finer level.
 struct SearchSchedule {

@@ -8,7 +8,7 @@ packages_build=(
   cmake ninja-build g++ ccache pkg-config
   libopencv-dev libeigen3-dev libceres-dev
   ocl-icd-opencl-dev opencl-clhpp-headers pocl-opencl-icd
-  libdraco-dev libspdlog-dev libfmt-dev libexpected-dev
+  libnanoflann-dev libdraco-dev libspdlog-dev libfmt-dev libexpected-dev
   nlohmann-json3-dev libcli11-dev libyaml-cpp-dev libexif-dev
 )
 packages_test=(libgtest-dev libgmock-dev libbenchmark-dev draco clang-format)

@@ -1,0 +1,139 @@
+#include "frontend/motion_field.h"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <array>
+#include <nanoflann.hpp>
+#include <opencv2/core/utility.hpp>
+
+#include "core/check.h"
+
+namespace corvid {
+namespace {
+
+constexpr std::size_t kMostNeighbours = 32;
+constexpr std::size_t kAgreementNeighbours = 8;
+
+struct Cloud {
+  const std::vector<Eigen::Vector2d>* points;
+  [[nodiscard]] std::size_t kdtree_get_point_count() const { return points->size(); }
+  [[nodiscard]] double kdtree_get_pt(std::size_t i, std::size_t axis) const {
+    return (*points)[i][static_cast<Eigen::Index>(axis)];
+  }
+  template <class Box>
+  bool kdtree_get_bbox(Box&) const {
+    return false;
+  }
+};
+using Tree =
+    nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<double, Cloud>, Cloud, 2>;
+
+template <class Work>
+void in_parallel(std::size_t count, const Work& work) {
+  cv::parallel_for_(
+      cv::Range(0, static_cast<int>(count)),
+      [&](const cv::Range& range) {
+        for (int i = range.start; i < range.end; ++i) work(static_cast<std::size_t>(i));
+      },
+      static_cast<double>(count) / 256);
+}
+
+}  // namespace
+
+struct MotionField::Index {
+  std::vector<Eigen::Vector2d> from, to;
+  Cloud cloud;
+  Tree tree;
+  Index(std::span<const Eigen::Vector2d> a, std::span<const Eigen::Vector2d> b)
+      : from(a.begin(), a.end()),
+        to(b.begin(), b.end()),
+        cloud{&from},
+        tree(2, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
+};
+
+MotionField::MotionField(std::span<const Eigen::Vector2d> from, std::span<const Eigen::Vector2d> to,
+                         const Eigen::Matrix2d& prior)
+    : prior_(prior) {
+  CORVID_CHECK(!from.empty() && from.size() == to.size(), "matches have two ends");
+  index_ = std::make_unique<const Index>(from, to);
+}
+
+MotionField::MotionField(MotionField&&) noexcept = default;
+MotionField& MotionField::operator=(MotionField&&) noexcept = default;
+MotionField::~MotionField() = default;
+
+LocalMotion MotionField::at(const Eigen::Vector2d& x, std::size_t neighbours) const {
+  const auto& [from, to, cloud, tree] = *index_;
+  neighbours = std::clamp<std::size_t>(neighbours, 1, kMostNeighbours);
+  std::array<std::uint32_t, kMostNeighbours> id{};
+  std::array<double, kMostNeighbours> squared{};
+  const std::size_t n = tree.knnSearch(x.data(), neighbours, id.data(), squared.data());
+
+  // Weighted least squares of to = x_t + A (from - x), A drawn to the prior.
+  const double scale = std::max(squared[n / 2], 1.0);
+  std::array<double, kMostNeighbours> robust{}, misfit{};
+  robust.fill(1);
+  LocalMotion motion;
+  motion.distance_px = std::sqrt(squared[0]);
+  for (int round = 0; round < 3; ++round) {
+    Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+    Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
+    double weights = 0;
+    for (std::size_t k = 0; k < n; ++k) {
+      const double w = robust[k] / (1 + squared[k] / scale);
+      const Eigen::Vector2d offset = from[id[k]] - x;
+      const Eigen::Vector3d row(1, offset.x(), offset.y());
+      // The prior is taken off and added again, so that a zero linear part is the prior.
+      const Eigen::Vector2d rest = to[id[k]] - prior_ * offset;
+      normal.noalias() += w * row * row.transpose();
+      right.noalias() += w * row * rest.transpose();
+      weights += w;
+    }
+    const double ridge = 0.05 * weights * scale;
+    normal(1, 1) += ridge;
+    normal(2, 2) += ridge;
+    const Eigen::Matrix<double, 3, 2> solution = normal.ldlt().solve(right);
+    motion.x_t = solution.row(0).transpose();
+    motion.linear = prior_ + solution.bottomRows<2>().transpose();
+    for (std::size_t k = 0; k < n; ++k)
+      misfit[k] = (to[id[k]] - motion.x_t - motion.linear * (from[id[k]] - x)).norm();
+    auto sorted = misfit;
+    std::nth_element(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(n / 2),
+                     sorted.begin() + static_cast<std::ptrdiff_t>(n));
+    motion.spread_px = sorted[n / 2];
+    const double width = std::max(2 * motion.spread_px, 0.2);
+    for (std::size_t k = 0; k < n; ++k) {
+      const double ratio = misfit[k] / width;
+      robust[k] = 1 / (1 + ratio * ratio);
+    }
+  }
+  return motion;
+}
+
+std::vector<LocalMotion> MotionField::at(std::span<const Eigen::Vector2d> x,
+                                         std::size_t neighbours) const {
+  std::vector<LocalMotion> motions(x.size());
+  in_parallel(x.size(), [&](std::size_t i) { motions[i] = at(x[i], neighbours); });
+  return motions;
+}
+
+std::vector<int> MotionField::agreement(double share, double slack_px) const {
+  const auto& from = index_->from;
+  const auto& to = index_->to;
+  std::vector<int> agreeing(from.size(), 0);
+  in_parallel(from.size(), [&](std::size_t i) {
+    std::array<std::uint32_t, kAgreementNeighbours + 1> id{};
+    std::array<double, kAgreementNeighbours + 1> squared{};
+    const std::size_t n =
+        index_->tree.knnSearch(from[i].data(), id.size(), id.data(), squared.data());
+    for (std::size_t k = 0; k < n; ++k) {
+      if (id[k] == i) continue;
+      const Eigen::Vector2d offset = from[id[k]] - from[i];
+      const double misfit = (to[id[k]] - to[i] - prior_ * offset).norm();
+      agreeing[i] += misfit < share * offset.norm() + slack_px;
+    }
+  });
+  return agreeing;
+}
+
+}  // namespace corvid
