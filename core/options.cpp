@@ -99,6 +99,8 @@ std::vector<std::string> MatchingOptions::validate() const {
   p.template_side("template_px", template_px);
   p.in("peak_quality", peak_quality, 0.0, 1.0);
   p.in("min_score", min_score, 0.01, 1.0);
+  p.template_side("refine_template_px", refine_template_px);
+  p.in("refine_min_score", refine_min_score, 0.01, 1.0);
   p.above_one("corner_score_ratio", corner_score_ratio);
   p.in("window_frames", window_frames, 2, 100);
   auto all = p.take();

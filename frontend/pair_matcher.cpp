@@ -34,6 +34,12 @@ struct Query {
   Eigen::Matrix2d warp = Eigen::Matrix2d::Identity();
 };
 
+/// With what is searched, and what counts.
+struct Measure {
+  int template_px = 11;
+  double min_score = 0;
+};
+
 struct Matched {
   std::vector<Eigen::Vector2d> from, to;
   void add(const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
@@ -73,7 +79,7 @@ struct PairMatcher::Impl {
   /// Candidates of each query, best first; pixels of the full resolution.
   [[nodiscard]] std::vector<std::vector<SearchCandidate>> search(
       const MatchView& reference, const MatchView& target, std::span<const Eigen::Vector2d> points,
-      std::span<const Query> queries, int level, double min_score);
+      std::span<const Query> queries, int level, const Measure& measure);
   /// The best candidate of each point where there is no other nearly as good.
   [[nodiscard]] Matched unambiguous(const MatchView& reference, const MatchView& target,
                                     std::span<const Eigen::Vector2d> points,
@@ -83,7 +89,8 @@ struct PairMatcher::Impl {
   [[nodiscard]] Matched turned(const MatchView& reference, const MatchView& target, int level,
                                Eigen::Matrix2d& prior);
   [[nodiscard]] MatchSets candidate_sets(const MatchView& reference, const MatchView& target,
-                                         std::span<const Query> queries, std::vector<bool>& weak);
+                                         std::span<const Query> queries, const Measure& measure,
+                                         std::vector<bool>& weak);
 };
 
 PairMatcher::PairMatcher(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -99,6 +106,8 @@ Expected<std::unique_ptr<PairMatcher>> PairMatcher::create(std::shared_ptr<Devic
   if (!ncc) return tl::unexpected(ncc.error());
   NccOptions ncc_options;
   ncc_options.template_px = options.template_px;
+  if (const auto ready = ncc->prepare(ncc_options); !ready) return tl::unexpected(ready.error());
+  ncc_options.template_px = options.refine_template_px;
   if (const auto ready = ncc->prepare(ncc_options); !ready) return tl::unexpected(ready.error());
   return std::unique_ptr<PairMatcher>(new PairMatcher(std::make_unique<Impl>(
       Impl{options, std::move(*pyramids), std::move(*corners), std::move(*ncc)})));
@@ -147,7 +156,7 @@ MatchView PairMatcher::prepare(const GreyImage& image, const Camera& camera,
 
 std::vector<std::vector<SearchCandidate>> PairMatcher::Impl::search(
     const MatchView& reference, const MatchView& target, std::span<const Eigen::Vector2d> points,
-    std::span<const Query> queries, int level, double min_score) {
+    std::span<const Query> queries, int level, const Measure& measure) {
   const double scale = std::ldexp(1.0, -level);
   std::vector<NccJob> jobs;
   jobs.reserve(queries.size());
@@ -164,7 +173,7 @@ std::vector<std::vector<SearchCandidate>> PairMatcher::Impl::search(
     jobs.push_back(job);
   }
   NccOptions ncc_options;
-  ncc_options.template_px = options.template_px;
+  ncc_options.template_px = measure.template_px;
   ncc_options.peak_quality = options.peak_quality;
   if (level > 0) ncc_options.align_iterations = 0;
   const auto results = ncc.match(reference.pyramid->level(level), target.pyramid->level(level),
@@ -173,7 +182,7 @@ std::vector<std::vector<SearchCandidate>> PairMatcher::Impl::search(
   for (std::size_t i = 0; i < results.size(); ++i)
     for (int k = 0; k < results[i].count; ++k) {
       const NccPeak& peak = results[i].peaks[static_cast<std::size_t>(k)];
-      if (peak.score >= min_score) candidates[i].push_back(to_candidate(peak, level));
+      if (peak.score >= measure.min_score) candidates[i].push_back(to_candidate(peak, level));
     }
   return candidates;
 }
@@ -181,7 +190,8 @@ std::vector<std::vector<SearchCandidate>> PairMatcher::Impl::search(
 Matched PairMatcher::Impl::unambiguous(const MatchView& reference, const MatchView& target,
                                        std::span<const Eigen::Vector2d> points,
                                        std::span<const Query> queries, int level) {
-  const auto candidates = search(reference, target, points, queries, level, kCoarseMinScore);
+  const auto candidates =
+      search(reference, target, points, queries, level, {options.template_px, kCoarseMinScore});
   Matched matched;
   for (std::size_t i = 0; i < queries.size(); ++i) {
     const auto& list = candidates[i];
@@ -227,9 +237,9 @@ Matched PairMatcher::Impl::turned(const MatchView& reference, const MatchView& t
 }
 
 MatchSets PairMatcher::Impl::candidate_sets(const MatchView& reference, const MatchView& target,
-                                            std::span<const Query> queries,
+                                            std::span<const Query> queries, const Measure& measure,
                                             std::vector<bool>& weak) {
-  auto candidates = search(reference, target, reference.points, queries, 0, options.min_score);
+  auto candidates = search(reference, target, reference.points, queries, 0, measure);
   std::vector<Eigen::Vector2f> x_r, x_t;
   for (std::size_t i = 0; i < queries.size(); ++i) {
     x_r.push_back(reference.points[queries[i].point].cast<float>());
@@ -327,7 +337,8 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
   // Full resolution: small windows first, which give the geometry.
   std::vector<bool> weak(reference.points.size(), false);
   auto queries = guided(reference.points, 0, 4);
-  MatchSets sets = impl.candidate_sets(reference, target, queries, weak);
+  MatchSets sets = impl.candidate_sets(reference, target, queries,
+                                       {impl.options.template_px, impl.options.min_score}, weak);
   result.timings.emplace_back("native", watch.lap_ms());
   Disambiguation told = disambiguate(sets, rules, known.F);
   result.timings.emplace_back("disambiguate", watch.lap_ms());
@@ -350,7 +361,9 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
       query.centre = *place[query.point];
       query.radius_x_px = query.radius_y_px = 2;
     }
-  sets = impl.candidate_sets(reference, target, queries, weak);
+  sets =
+      impl.candidate_sets(reference, target, queries,
+                          {impl.options.refine_template_px, impl.options.refine_min_score}, weak);
   result.timings.emplace_back("refine", watch.lap_ms());
   told = disambiguate(sets, rules, told.F, known.auxiliary);
   result.timings.emplace_back("disambiguate again", watch.lap_ms());

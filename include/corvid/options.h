@@ -44,14 +44,16 @@ struct DisambiguationOptions {
 
 /// Matching of image pairs: keyframes and stills (algorithms.md 3).
 struct MatchingOptions {
-  int max_points = 8000;          ///< interest points per image
-  double corner_quality = 0.001;  ///< Q_c, see FrontendOptions
-  double harris_kappa = 0.04;     ///< Harris-Stephens kappa (thesis 4.2)
-  int template_px = 11;           ///< NCC template side (thesis 4.1)
-  double peak_quality = 0.85;     ///< Q_m (thesis 4.3.1)
-  double min_score = 0.7;         ///< NCC score below which nothing is a match
-  double corner_score_ratio = 5;  ///< tau_c: weak-corner removal (thesis 4.3.2)
-  int window_frames = 4;          ///< R_f: frames of the sliding window (thesis 4.1)
+  int max_points = 8000;           ///< interest points per image
+  double corner_quality = 0.0002;  ///< Q_c; 0.01 in thesis 4.2, see docs/decisions/pair-matching.md
+  double harris_kappa = 0.04;      ///< Harris-Stephens kappa (thesis 4.2)
+  int template_px = 11;            ///< NCC template side (thesis 4.1)
+  double peak_quality = 0.85;      ///< Q_m (thesis 4.3.1)
+  double min_score = 0.7;          ///< NCC score below which nothing is a match
+  int refine_template_px = 21;  ///< template side of the last measurement, whose warp is known well
+  double refine_min_score = 0.87;  ///< NCC score that a match needs in it
+  double corner_score_ratio = 5;   ///< tau_c: weak-corner removal (thesis 4.3.2)
+  int window_frames = 4;           ///< R_f: frames of the sliding window (thesis 4.1)
   DisambiguationOptions disambiguation;
   [[nodiscard]] std::vector<std::string> validate() const;
 };
