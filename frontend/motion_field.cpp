@@ -117,6 +117,24 @@ std::vector<LocalMotion> MotionField::at(std::span<const Eigen::Vector2d> x,
   return motions;
 }
 
+std::pair<double, double> MotionField::range_along(const Eigen::Vector2d& x,
+                                                   const LocalMotion& motion,
+                                                   const Eigen::Vector2d& direction,
+                                                   std::size_t neighbours) const {
+  std::array<std::uint32_t, kMostNeighbours> id{};
+  std::array<double, kMostNeighbours> squared{};
+  const std::size_t n = index_->tree.knnSearch(
+      x.data(), std::clamp<std::size_t>(neighbours, 1, kMostNeighbours), id.data(), squared.data());
+  double least = 0, most = 0;
+  for (std::size_t k = 0; k < n; ++k) {
+    const Eigen::Vector2d there =
+        index_->to[id[k]] + motion.linear * (x - index_->from[id[k]]) - motion.x_t;
+    least = std::min(least, direction.dot(there));
+    most = std::max(most, direction.dot(there));
+  }
+  return {least, most};
+}
+
 std::vector<int> MotionField::agreement(double share, double slack_px) const {
   const auto& from = index_->from;
   const auto& to = index_->to;

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 namespace corvid {
@@ -33,6 +34,13 @@ class MotionField {
   /// at() for many places, on all cores.
   [[nodiscard]] std::vector<LocalMotion> at(std::span<const Eigen::Vector2d> x,
                                             std::size_t neighbours = 12) const;
+
+  /// How far along `direction` (unit) the neighbours would put x, from where at() puts it: the
+  /// least and the largest [px]. Neighbours of other depths lie apart along the epipolar line.
+  [[nodiscard]] std::pair<double, double> range_along(const Eigen::Vector2d& x,
+                                                      const LocalMotion& motion,
+                                                      const Eigen::Vector2d& direction,
+                                                      std::size_t neighbours = 24) const;
 
   /// Of each match, how many of its 8 nearest others moved alike: their displacement differs from
   /// its own, but for the prior's linear part, by less than share * distance + slack_px.

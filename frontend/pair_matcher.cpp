@@ -8,10 +8,12 @@
 #include <numeric>
 #include <utility>
 
+#include "core/check.h"
 #include "frontend/align.h"
 #include "frontend/disambiguate/highest_scores.h"
 #include "frontend/disambiguate/weak_corners.h"
 #include "frontend/epipolar.h"
+#include "frontend/epipolar_strip.h"
 #include "frontend/motion_field.h"
 #include "frontend/track_search.h"
 
@@ -25,12 +27,15 @@ constexpr int kLevelPoints = 2000;  // templates of each level between it and th
 constexpr int kMinAgreeing = 3;     // of 8 neighbours that must have moved alike
 constexpr int kMinSeeds = 12;       // matches of the coarse level that agree
 constexpr double kCoarseMinScore = 0.6;
+constexpr double kStripHeightPx = 10;    // of a strip along an epipolar line, at its level
+constexpr double kSelectionSlack = 2.5;  // on tau_f, until the last measurement
+constexpr double kPiecePx = 24;          // length of a strip's windows
+constexpr double kMostDepthPx = 48;  // along the epipolar line, to either side of the prediction
 
-/// One search of many templates: where each is looked for and how it is warped.
+/// Where a template is looked for, and how it is warped (target offsets to reference offsets).
 struct Query {
-  std::size_t point = 0;                             ///< in the list of points
-  Eigen::Vector2d centre = Eigen::Vector2d::Zero();  ///< of the window [px]
-  double radius_x_px = 0, radius_y_px = 0;           ///< full resolution
+  std::size_t point = 0;              ///< in the list of points
+  std::vector<SearchWindow> windows;  ///< full resolution
   Eigen::Matrix2d warp = Eigen::Matrix2d::Identity();
 };
 
@@ -38,6 +43,7 @@ struct Query {
 struct Measure {
   int template_px = 11;
   double min_score = 0;
+  bool exact = false;  ///< peaks are aligned on the images; else the quadratic's vertex will do
 };
 
 struct Matched {
@@ -59,6 +65,21 @@ Matched keep_agreeing(Matched matched, const Eigen::Matrix2d& prior, double shar
     matched = std::move(kept);
   }
   return matched;
+}
+
+/// The peaks of windows that overlap become one list, best first, without repetitions.
+void merge_peaks(std::vector<SearchCandidate>& peaks, double quality, double apart_px) {
+  std::stable_sort(peaks.begin(), peaks.end(),
+                   [](const auto& a, const auto& b) { return a.score > b.score; });
+  std::vector<SearchCandidate> kept;
+  for (const SearchCandidate& peak : peaks) {
+    if (!kept.empty() && peak.score < quality * kept.front().score) break;
+    if (std::none_of(kept.begin(), kept.end(), [&](const SearchCandidate& other) {
+          return (other.pixel - peak.pixel).norm() < apart_px;
+        }))
+      kept.push_back(peak);
+  }
+  peaks = std::move(kept);
 }
 
 Eigen::Matrix2d peak_covariance_px2(const SearchCandidate& candidate) {
@@ -85,9 +106,24 @@ struct PairMatcher::Impl {
                                     std::span<const Eigen::Vector2d> points,
                                     std::span<const Query> queries, int level);
   [[nodiscard]] Matched coarse(const MatchView& reference, const MatchView& target, int level,
-                               const PairKnowledge& known, Eigen::Matrix2d& prior);
+                               const PairKnowledge& known, const Eigen::Matrix2d& prior);
   [[nodiscard]] Matched turned(const MatchView& reference, const MatchView& target, int level,
                                Eigen::Matrix2d& prior);
+  /// The part of a point's epipolar line where its neighbours' depths would put it.
+  [[nodiscard]] static std::vector<SearchWindow> strip(const MatchView& reference,
+                                                       const MatchView& target,
+                                                       const MotionField& field,
+                                                       const Eigen::Matrix3d& F, std::size_t point);
+  /// What disambiguate() needs to know of auxiliary images, for the points of the queries. The
+  /// views refer to the arguments.
+  [[nodiscard]] std::vector<AuxiliaryView> third_views(const MatchView& reference,
+                                                       std::span<const Query> queries,
+                                                       std::span<const AuxiliaryMatches> auxiliary,
+                                                       const Eigen::Matrix2d& prior);
+  /// AuxiliaryView::support.
+  [[nodiscard]] std::vector<float> support(const MatchView& reference, const MatchView& auxiliary,
+                                           std::span<const Query> queries, const MotionField& field,
+                                           std::span<const AuxiliaryView::Probe> probes);
   [[nodiscard]] MatchSets candidate_sets(const MatchView& reference, const MatchView& target,
                                          std::span<const Query> queries, const Measure& measure,
                                          std::vector<bool>& weak);
@@ -159,31 +195,37 @@ std::vector<std::vector<SearchCandidate>> PairMatcher::Impl::search(
     std::span<const Query> queries, int level, const Measure& measure) {
   const double scale = std::ldexp(1.0, -level);
   std::vector<NccJob> jobs;
-  jobs.reserve(queries.size());
-  for (const Query& query : queries) {
-    NccJob job;
-    const Eigen::Vector2d& x = points[query.point];
-    job.template_x_px = static_cast<float>(x.x() * scale);
-    job.template_y_px = static_cast<float>(x.y() * scale);
-    for (int k = 0; k < 4; ++k) job.warp[k] = static_cast<float>(query.warp(k / 2, k % 2));
-    job.window_x_px = static_cast<std::int32_t>(std::lround(query.centre.x() * scale));
-    job.window_y_px = static_cast<std::int32_t>(std::lround(query.centre.y() * scale));
-    job.radius_x_px = static_cast<std::int32_t>(std::ceil(query.radius_x_px * scale));
-    job.radius_y_px = static_cast<std::int32_t>(std::ceil(query.radius_y_px * scale));
-    jobs.push_back(job);
-  }
+  std::vector<std::size_t> owner;
+  for (std::size_t i = 0; i < queries.size(); ++i)
+    for (const SearchWindow& window : queries[i].windows) {
+      NccJob job;
+      const Eigen::Vector2d& x = points[queries[i].point];
+      job.template_x_px = static_cast<float>(x.x() * scale);
+      job.template_y_px = static_cast<float>(x.y() * scale);
+      for (int k = 0; k < 4; ++k) job.warp[k] = static_cast<float>(queries[i].warp(k / 2, k % 2));
+      job.window_x_px = static_cast<std::int32_t>(std::lround(window.centre.x() * scale));
+      job.window_y_px = static_cast<std::int32_t>(std::lround(window.centre.y() * scale));
+      job.radius_x_px = static_cast<std::int32_t>(std::ceil(window.radius_x_px * scale));
+      job.radius_y_px = static_cast<std::int32_t>(std::ceil(window.radius_y_px * scale));
+      jobs.push_back(job);
+      owner.push_back(i);
+    }
   NccOptions ncc_options;
   ncc_options.template_px = measure.template_px;
   ncc_options.peak_quality = options.peak_quality;
-  if (level > 0) ncc_options.align_iterations = 0;
+  if (!measure.exact) ncc_options.align_iterations = 0;
   const auto results = ncc.match(reference.pyramid->level(level), target.pyramid->level(level),
                                  jobs, ncc_options, Lane::tracking);
   std::vector<std::vector<SearchCandidate>> candidates(queries.size());
-  for (std::size_t i = 0; i < results.size(); ++i)
-    for (int k = 0; k < results[i].count; ++k) {
-      const NccPeak& peak = results[i].peaks[static_cast<std::size_t>(k)];
-      if (peak.score >= measure.min_score) candidates[i].push_back(to_candidate(peak, level));
+  for (std::size_t j = 0; j < results.size(); ++j)
+    for (int k = 0; k < results[j].count; ++k) {
+      const NccPeak& peak = results[j].peaks[static_cast<std::size_t>(k)];
+      if (peak.score >= measure.min_score)
+        candidates[owner[j]].push_back(to_candidate(peak, level));
     }
+  for (std::size_t i = 0; i < queries.size(); ++i)
+    if (queries[i].windows.size() > 1)
+      merge_peaks(candidates[i], options.peak_quality, std::ldexp(1.0, level));
   return candidates;
 }
 
@@ -205,19 +247,27 @@ Matched PairMatcher::Impl::unambiguous(const MatchView& reference, const MatchVi
 }
 
 Matched PairMatcher::Impl::coarse(const MatchView& reference, const MatchView& target, int level,
-                                  const PairKnowledge& known, Eigen::Matrix2d& prior) {
-  (void)known;
+                                  const PairKnowledge& known, const Eigen::Matrix2d& prior) {
   const auto& all =
       level == 0 ? reference.points : reference.level_points[static_cast<std::size_t>(level - 1)];
   const std::span<const Eigen::Vector2d> points(all.data(),
                                                 std::min<std::size_t>(all.size(), kCoarsePoints));
-  const DeviceImage& image = target.pyramid->level(0);
+  const Camera& camera = target.camera;
+  const double px = std::ldexp(1.0, level);  // of the level
+  const Eigen::Vector2d middle(0.5 * camera.width_px, 0.5 * camera.height_px);
   std::vector<Query> queries;
-  for (std::size_t i = 0; i < points.size(); ++i)
-    queries.push_back({i, Eigen::Vector2d(0.5 * image.width_px, 0.5 * image.height_px),
-                       0.5 * image.width_px, 0.5 * image.height_px, prior.inverse()});
-  return keep_agreeing(unambiguous(reference, target, points, queries, level), prior, 0.35,
-                       std::ldexp(2.0, level));
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    Query query{i, {}, prior.inverse()};
+    if (!known.F) {
+      query.windows.push_back({middle, middle.x(), middle.y()});
+    } else if (const auto x_r = undistort_pixel(reference.camera, points[i])) {
+      if (const auto ends = clip_line(*known.F * x_r->homogeneous(), camera, 4 * px))
+        query.windows = strip_windows(camera, ends->first, ends->second, kStripHeightPx / 2 * px,
+                                      kPiecePx * px);
+    }
+    queries.push_back(std::move(query));
+  }
+  return keep_agreeing(unambiguous(reference, target, points, queries, level), prior, 0.35, 2 * px);
 }
 
 Matched PairMatcher::Impl::turned(const MatchView& reference, const MatchView& target, int level,
@@ -231,9 +281,29 @@ Matched PairMatcher::Impl::turned(const MatchView& reference, const MatchView& t
   const double radius_px = 0.1 * std::max(image.width_px, image.height_px);
   std::vector<Query> queries;
   for (std::size_t i = 0; i < points.size(); ++i)
-    queries.push_back({i, similarity(points[i]), radius_px, radius_px, prior.inverse()});
+    queries.push_back({i, {{similarity(points[i]), radius_px, radius_px}}, prior.inverse()});
   return keep_agreeing(unambiguous(reference, target, points, queries, level), prior, 0.35,
                        std::ldexp(2.0, level));
+}
+
+std::vector<SearchWindow> PairMatcher::Impl::strip(const MatchView& reference,
+                                                   const MatchView& target,
+                                                   const MotionField& field,
+                                                   const Eigen::Matrix3d& F, std::size_t point) {
+  const auto x_r = undistort_pixel(reference.camera, reference.points[point]);
+  if (!x_r) return {};
+  const LocalMotion motion = field.at(reference.points[point]);
+  const auto predicted = undistort_pixel(target.camera, motion.x_t);
+  const Eigen::Vector3d line = F * x_r->homogeneous();
+  const double norm = line.head<2>().norm();
+  if (!predicted || !(norm > 1e-300)) return {};
+  const Eigen::Vector2d normal = line.head<2>() / norm, direction(-normal.y(), normal.x());
+  const Eigen::Vector2d foot = *predicted - normal * (normal.dot(*predicted) + line.z() / norm);
+  auto [least, most] = field.range_along(reference.points[point], motion, direction);
+  least = std::max(least, -kMostDepthPx) - 4;
+  most = std::min(most, kMostDepthPx) + 4;
+  return strip_windows(target.camera, foot + least * direction, foot + most * direction, 3,
+                       kPiecePx);
 }
 
 MatchSets PairMatcher::Impl::candidate_sets(const MatchView& reference, const MatchView& target,
@@ -270,6 +340,67 @@ MatchSets PairMatcher::Impl::candidate_sets(const MatchView& reference, const Ma
     }
   }
   return sets;
+}
+
+std::vector<AuxiliaryView> PairMatcher::Impl::third_views(
+    const MatchView& reference, std::span<const Query> queries,
+    std::span<const AuxiliaryMatches> auxiliary, const Eigen::Matrix2d& prior) {
+  std::vector<AuxiliaryView> views;
+  for (const AuxiliaryMatches& third : auxiliary) {
+    CORVID_CHECK(third.view && third.x_a.size() == reference.points.size(),
+                 "auxiliary matches are of the reference's points");
+    AuxiliaryView view;
+    view.F_auxiliary_reference = third.F_auxiliary_reference;
+    view.F_auxiliary_target = third.F_auxiliary_target;
+    Matched matched;
+    for (const Query& query : queries) {
+      const auto& x_a = third.x_a[query.point];
+      view.x_a.push_back(x_a ? undistort_pixel(third.view->camera, *x_a) : std::nullopt);
+      if (x_a) matched.add(reference.points[query.point], *x_a);
+    }
+    if (!matched.from.empty()) {
+      auto field = std::make_shared<const MotionField>(matched.from, matched.to, prior);
+      view.support = [this, &reference, &third, queries,
+                      field](std::span<const AuxiliaryView::Probe> probes) {
+        return support(reference, *third.view, queries, *field, probes);
+      };
+    }
+    views.push_back(std::move(view));
+  }
+  return views;
+}
+
+std::vector<float> PairMatcher::Impl::support(const MatchView& reference,
+                                              const MatchView& auxiliary,
+                                              std::span<const Query> queries,
+                                              const MotionField& field,
+                                              std::span<const AuxiliaryView::Probe> probes) {
+  std::vector<Query> asked;
+  for (const AuxiliaryView::Probe& probe : probes) {
+    const std::size_t point = queries[probe.point].point;
+    const LocalMotion motion = field.at(reference.points[point]);
+    Query query{point, {}, Eigen::Matrix2d::Identity()};
+    if (std::abs(motion.linear.determinant()) > 0.1) query.warp = motion.linear.inverse();
+    const Eigen::Vector2d reach = 15 * probe.line_direction;  // 31 x 7 (thesis 4.4.11)
+    query.windows =
+        strip_windows(auxiliary.camera, probe.place - reach, probe.place + reach, 3, 31);
+    asked.push_back(std::move(query));
+  }
+  const auto candidates = search(reference, auxiliary, reference.points, asked, 0,
+                                 {options.template_px, options.min_score});
+  std::vector<float> scores;
+  for (const auto& list : candidates) scores.push_back(list.empty() ? -1.0F : list[0].score);
+  return scores;
+}
+
+AuxiliaryMatches auxiliary_matches(const MatchView& reference, const MatchView& auxiliary,
+                                   const PairMatches& matches) {
+  AuxiliaryMatches third;
+  third.view = &auxiliary;
+  third.x_a.resize(reference.points.size());
+  for (const PairMatch& match : matches.matches) third.x_a[match.point] = match.x_t;
+  if (matches.F) third.F_auxiliary_reference = *matches.F;
+  return third;
 }
 
 PairMatches PairMatcher::match(const MatchView& reference, const MatchView& target,
@@ -321,7 +452,7 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
         continue;
       const double radius_px =
           std::ldexp(std::clamp(3 * std::ldexp(motion.spread_px, -level), least_px, 10.0), level);
-      queries.push_back({i, motion.x_t, radius_px, radius_px, motion.linear.inverse()});
+      queries.push_back({i, {{motion.x_t, radius_px, radius_px}}, motion.linear.inverse()});
     }
     return queries;
   };
@@ -334,66 +465,101 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
     result.timings.emplace_back(fmt::format("level {}", level), watch.lap_ms());
   }
 
-  // Full resolution: small windows first, which give the geometry.
+  // Full resolution: small windows first, which give the geometry. Small templates are less exact
+  // than the last measurement, after which tau_f holds as it is.
+  DisambiguationOptions loose = rules;
+  loose.max_epipolar_px *= kSelectionSlack;
   std::vector<bool> weak(reference.points.size(), false);
+  const Measure first{impl.options.template_px, impl.options.min_score};
   auto queries = guided(reference.points, 0, 4);
-  MatchSets sets = impl.candidate_sets(reference, target, queries,
-                                       {impl.options.template_px, impl.options.min_score}, weak);
+  MatchSets sets = impl.candidate_sets(reference, target, queries, first, weak);
   result.timings.emplace_back("native", watch.lap_ms());
-  Disambiguation told = disambiguate(sets, rules, known.F);
+  Disambiguation told = disambiguate(sets, loose, known.F);
   result.timings.emplace_back("disambiguate", watch.lap_ms());
   if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
 
-  // Then again with the warps that these matches give: what was found is measured anew, what was
-  // not is looked for along its epipolar line.
-  matched = {};
-  std::vector<std::optional<Eigen::Vector2d>> place(reference.points.size());
-  for (std::size_t i = 0; i < queries.size(); ++i) {
-    const auto& point = sets.points[i];
-    if (!point.accepted) continue;
-    const std::size_t k = queries[i].point;
-    place[k] = point.candidates[*point.accepted].pixel;
-    matched.add(reference.points[k], *place[k]);
-  }
-  queries = guided(reference.points, 0, 4);
-  for (Query& query : queries)
-    if (place[query.point]) {
-      query.centre = *place[query.point];
-      query.radius_x_px = query.radius_y_px = 2;
+  // What was not found is looked for along its epipolar line, and all is told apart again.
+  const auto accepted = [&] {
+    Matched found;
+    for (std::size_t i = 0; i < queries.size(); ++i)
+      if (const auto& point = sets.points[i]; point.accepted)
+        found.add(reference.points[queries[i].point], point.candidates[*point.accepted].pixel);
+    return found;
+  };
+  matched = accepted();
+  {
+    const MotionField field(matched.from, matched.to, prior);
+    std::vector<Query> strips;
+    std::vector<std::size_t> slots;
+    for (std::size_t i = 0; i < queries.size(); ++i) {
+      if (sets.points[i].accepted) continue;
+      queries[i].windows = impl.strip(reference, target, field, *told.F, queries[i].point);
+      strips.push_back(queries[i]);
+      slots.push_back(i);
     }
-  sets =
-      impl.candidate_sets(reference, target, queries,
-                          {impl.options.refine_template_px, impl.options.refine_min_score}, weak);
-  result.timings.emplace_back("refine", watch.lap_ms());
-  told = disambiguate(sets, rules, told.F, known.auxiliary);
+    MatchSets more = impl.candidate_sets(
+        reference, target, strips, {impl.options.refine_template_px, impl.options.min_score}, weak);
+    for (std::size_t k = 0; k < slots.size(); ++k)
+      sets.points[slots[k]] = std::move(more.points[k]);
+  }
+  result.timings.emplace_back("strips", watch.lap_ms());
+  told = disambiguate(sets, loose, told.F,
+                      impl.third_views(reference, queries, known.auxiliary, prior));
   result.timings.emplace_back("disambiguate again", watch.lap_ms());
   if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
-  result.F = told.F;
   result.disambiguation = std::move(told.report);
+  std::vector<std::optional<UnmatchedPoint>> unmatched(reference.points.size());
+  for (std::size_t k = 0; k < unmatched.size(); ++k)
+    unmatched[k] = UnmatchedPoint{k, NoMatch::no_candidate, {}};
+  for (std::size_t i = 0; i < queries.size(); ++i) {
+    const MatchSets::Point& point = sets.points[i];
+    UnmatchedPoint& entry = *unmatched[queries[i].point];
+    for (const SearchCandidate& candidate : point.candidates)
+      entry.candidates.push_back(candidate.pixel);
+    if (!point.candidates.empty())
+      entry.reason = NoMatch::ambiguous;
+    else if (weak[queries[i].point])
+      entry.reason = NoMatch::weak_corner;
+    else
+      entry.reason = NoMatch::geometry;
+  }
 
-  std::vector<std::optional<std::size_t>> query_of(reference.points.size());
-  for (std::size_t i = 0; i < queries.size(); ++i) query_of[queries[i].point] = i;
-  for (std::size_t k = 0; k < reference.points.size(); ++k) {
-    if (!query_of[k]) {
-      result.unmatched.push_back({k, NoMatch::no_candidate, {}});
-      continue;
-    }
-    const MatchSets::Point& point = sets.points[*query_of[k]];
+  // What was accepted is measured once more, with larger templates and the warps that the matches
+  // give now: as accurate as it gets.
+  matched = accepted();
+  if (matched.from.empty()) return refuse("no match stood the disambiguation");
+  const MotionField field(matched.from, matched.to, prior);
+  std::vector<Query> last;
+  for (std::size_t i = 0; i < queries.size(); ++i) {
+    const MatchSets::Point& point = sets.points[i];
+    if (!point.accepted) continue;
+    const std::size_t k = queries[i].point;
+    const LocalMotion motion = field.at(reference.points[k]);
+    if (!(motion.linear.determinant() > 0.1) || !(motion.linear.determinant() < 10)) continue;
+    last.push_back({k, {{point.candidates[*point.accepted].pixel, 2, 2}}, motion.linear.inverse()});
+  }
+  sets = impl.candidate_sets(reference, target, last,
+                             {impl.options.refine_template_px, impl.options.refine_min_score, true},
+                             weak);
+  result.timings.emplace_back("refine", watch.lap_ms());
+  told = disambiguate(sets, rules, told.F);
+  result.timings.emplace_back("check", watch.lap_ms());
+  if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
+  result.F = told.F;
+  for (std::size_t i = 0; i < last.size(); ++i) {
+    const MatchSets::Point& point = sets.points[i];
+    const std::size_t k = last[i].point;
     if (point.accepted) {
       const SearchCandidate& candidate = point.candidates[*point.accepted];
       result.matches.push_back({k, reference.points[k], candidate.pixel, candidate.score,
-                                peak_covariance_px2(candidate), queries[*query_of[k]].warp});
-      continue;
+                                peak_covariance_px2(candidate), last[i].warp});
+      unmatched[k].reset();
+    } else {
+      unmatched[k]->reason = NoMatch::geometry;
     }
-    UnmatchedPoint unmatched{k, NoMatch::geometry, {}};
-    for (const SearchCandidate& candidate : point.candidates)
-      unmatched.candidates.push_back(candidate.pixel);
-    if (!point.candidates.empty())
-      unmatched.reason = NoMatch::ambiguous;
-    else if (weak[k])
-      unmatched.reason = NoMatch::weak_corner;
-    result.unmatched.push_back(std::move(unmatched));
   }
+  for (auto& entry : unmatched)
+    if (entry) result.unmatched.push_back(std::move(*entry));
   return result;
 }
 

@@ -66,10 +66,24 @@ struct PairMatches {
   Timings timings;                      ///< [ms] by step
 };
 
+/// A third image to which the reference was matched before.
+struct AuxiliaryMatches {
+  const MatchView* view = nullptr;
+  /// Of each point of the reference, its match there [px, distorted], where there is one.
+  std::vector<std::optional<Eigen::Vector2d>> x_a;
+  Eigen::Matrix3d F_auxiliary_reference = Eigen::Matrix3d::Zero();  ///< x_a^T F x_r = 0
+  std::optional<Eigen::Matrix3d> F_auxiliary_target;                ///< x_a^T F x_t = 0
+};
+/// From the matches of the same reference with that image.
+[[nodiscard]] AuxiliaryMatches auxiliary_matches(const MatchView& reference,
+                                                 const MatchView& auxiliary,
+                                                 const PairMatches& matches);
+
 /// What is known before matching; everything may be missing.
 struct PairKnowledge {
-  std::optional<Eigen::Matrix3d> F;               ///< from poses: the coarse step is skipped
-  std::span<const AuxiliaryView> auxiliary = {};  ///< images matched to the reference before
+  /// From poses: the coarse search keeps to the epipolar lines.
+  std::optional<Eigen::Matrix3d> F;
+  std::span<const AuxiliaryMatches> auxiliary = {};
 };
 
 /// Matches two images by NCC (algorithms.md 3 and 4): from nothing (full search at a coarse level,
