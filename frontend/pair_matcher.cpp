@@ -29,7 +29,10 @@ constexpr int kMinSeeds = 12;       // matches of the coarse level that agree
 constexpr double kCoarseMinScore = 0.6;
 constexpr double kStripHeightPx = 10;    // of a strip along an epipolar line, at its level
 constexpr double kSelectionSlack = 2.5;  // on tau_f, until the last measurement
-constexpr double kPiecePx = 24;          // length of a strip's windows
+// Of the points that should be in view. True pairs: 0.3 and more; views of other parts of a scene
+// with the same kinds of texture: up to 0.05.
+constexpr double kMinShare = 0.08;
+constexpr double kPiecePx = 24;      // length of a strip's windows
 constexpr double kMostDepthPx = 48;  // along the epipolar line, to either side of the prediction
 
 /// Where a template is looked for, and how it is warped (target offsets to reference offsets).
@@ -319,6 +322,17 @@ MatchSets PairMatcher::Impl::candidate_sets(const MatchView& reference, const Ma
   const auto score_r = corners.score_at(reference.pyramid->level(0), x_r, options.harris_kappa);
   const DeviceImage& image = target.pyramid->level(0);
   const auto score_t = corners.score_at(image, x_t, options.harris_kappa);
+  // Corner scores go with the square of the exposure: they are compared after the typical ratio.
+  std::vector<double> ratios;
+  for (std::size_t i = 0, k = 0; i < queries.size(); k += candidates[i++].size())
+    if (!candidates[i].empty() && score_t[k].lambda_min > 0)
+      ratios.push_back(score_r[i].lambda_min / score_t[k].lambda_min);
+  double exposure = 1;
+  if (!ratios.empty()) {
+    const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
+    std::nth_element(ratios.begin(), middle, ratios.end());
+    if (*middle > 0) exposure = *middle;
+  }
   MatchSets sets;
   sets.points.resize(queries.size());
   std::size_t next = 0;
@@ -329,7 +343,7 @@ MatchSets PairMatcher::Impl::candidate_sets(const MatchView& reference, const Ma
     for (const SearchCandidate& candidate : candidates[i]) {
       const std::size_t k = next++;
       if (is_weak_corner(score_r[i].lambda_min, score_t[k].lambda_min, x_t[k], image.width_px,
-                         image.height_px, options.corner_score_ratio)) {
+                         image.height_px, exposure * options.corner_score_ratio)) {
         weak[queries[i].point] = true;
         continue;
       }
@@ -545,6 +559,12 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
   told = disambiguate(sets, rules, told.F);
   result.timings.emplace_back("check", watch.lap_ms());
   if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
+  const auto agreeing = static_cast<std::size_t>(
+      std::count_if(sets.points.begin(), sets.points.end(),
+                    [](const auto& point) { return point.accepted.has_value(); }));
+  if (static_cast<double>(agreeing) < kMinShare * static_cast<double>(queries.size()))
+    return refuse(fmt::format("only {} of {} points that should be in view were found", agreeing,
+                              queries.size()));
   result.F = told.F;
   for (std::size_t i = 0; i < last.size(); ++i) {
     const MatchSets::Point& point = sets.points[i];
