@@ -23,6 +23,7 @@ Action add_record_command(CLI::App& app);
 Action add_doctor_command(CLI::App& app);
 Action add_demo_command(CLI::App& app);
 Action add_options_command(CLI::App& app);
+Action add_match_command(CLI::App& app);
 Action add_bench_command(CLI::App& app);
 
 }  // namespace corvid

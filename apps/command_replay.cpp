@@ -4,11 +4,12 @@
 #include <charconv>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <string>
-#include <vector>
 
 #include "apps/command_flight.h"
 #include "apps/command_list.h"
+#include "apps/engine_options.h"
 #include "apps/program_source.h"
 #include "apps/signal_guard.h"
 #include "io/options_file.h"
@@ -19,10 +20,9 @@ namespace {
 
 struct Arguments {
   SourceArguments source;
-  std::string out, rate = "max", options_file, truth;
-  std::optional<std::string> device;
+  EngineArguments engine;
+  std::string out, rate = "max", truth;
   std::optional<int> threads;
-  std::vector<std::string> settings;
   bool no_mapping = false, json = false;
 };
 
@@ -39,25 +39,11 @@ Expected<std::optional<double>> parse_rate(const std::string& text) {
 }
 
 Expected<Options> resolve(const Arguments& arguments) {
-  Options options;
-  if (!arguments.options_file.empty()) {
-    auto read = read_options_file(arguments.options_file);
-    if (!read) return read;
-    options = *read;
-  }
-  for (const std::string& setting : arguments.settings) {
-    const std::size_t equals = setting.find('=');
-    if (equals == std::string::npos) {
-      return fail(ErrorCode::invalid_argument, fmt::format("{} is not KEY=VALUE", setting), "--set",
-                  "`corvid options` prints every key");
-    }
-    auto set = set_option(options, setting.substr(0, equals), setting.substr(equals + 1), "--set");
-    if (!set) return tl::unexpected(set.error());
-  }
-  if (arguments.device) options.device = *arguments.device;
-  if (arguments.threads) options.threads = *arguments.threads;
-  if (arguments.no_mapping) options.mapping.enabled = false;
-  if (auto checked = check_options(options, "options"); !checked) {
+  auto options = arguments.engine.read();
+  if (!options) return options;
+  if (arguments.threads) options->threads = *arguments.threads;
+  if (arguments.no_mapping) options->mapping.enabled = false;
+  if (auto checked = check_options(*options, "options"); !checked) {
     return tl::unexpected(checked.error());
   }
   return options;
@@ -98,17 +84,9 @@ Action add_replay_command(CLI::App& app) {
                    "max: as fast as possible, nothing dropped; a number: that many times the "
                    "capture's speed, dropping as live would")
       ->capture_default_str();
-  command
-      ->add_option("--device", a->device,
-                   "OpenCL device: auto, cpu, gpu, or a number from `corvid doctor`")
-      ->envname("CORVID_DEVICE");
+  a->engine.add_to(*command);
   command->add_option("--threads", a->threads,
                       "CPU budget; 0: all cores; 1: everything inline, bit-repeatable");
-  command->add_option("--options", a->options_file, "Options file (`corvid options` prints one)");
-  command
-      ->add_option("--set", a->settings,
-                   "KEY=VALUE, one option of the engine; wins over the file; may be repeated")
-      ->allow_extra_args(false);
   command->add_option("--truth", a->truth,
                       "True trajectory (TUM, KITTI, EuRoC), instead of the source's own");
   command->add_flag("--no-mapping", a->no_mapping, "No depth maps, voxels and mesh");

@@ -30,6 +30,7 @@ Examples:
   corvid replay synthetic:seed=3 --out run --json | jq .state
   corvid export run --format ply                the mesh for MeshLab or CloudCompare
   corvid eval run/trajectory.txt ~/data/MH_05   error against the truth
+  corvid match a.jpg b.jpg                      what do two images have in common?
   corvid bench ncc --quick                      how fast is correlation here?
 
 Environment:
@@ -43,7 +44,8 @@ Exit codes:
   0 done   1 unexpected failure, or the source or device failed during the run: what there was
   is saved   2 wrong arguments   3 not found
   4 corrupt or unsupported input   5 no usable OpenCL device
-  6 the run ended without a single pose   130 interrupted, what there was is saved
+  6 it went through without a result: not one pose, or no geometry that two images have in common
+  130 interrupted, what there was is saved
 )";
 
 // The talk of one run; the library falls silent again at its end, so that nothing refers to the
@@ -148,7 +150,7 @@ ExitCode run(int argc, const char* const* argv, Context& context) {
   std::vector<std::pair<const CLI::App*, Action>> commands;
   for (auto* add : {add_demo_command, add_replay_command, add_info_command, add_export_command,
                     add_eval_command, add_record_command, add_doctor_command, add_options_command,
-                    add_bench_command}) {
+                    add_match_command, add_bench_command}) {
     Action action = add(app);
     commands.emplace_back(commands_of(app).back(), std::move(action));
   }

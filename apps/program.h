@@ -15,7 +15,7 @@ enum class ExitCode : int {
   not_found = 3,      ///< no such file, folder or camera
   bad_input = 4,      ///< corrupt or unsupported
   device = 5,         ///< no OpenCL device can run the engine
-  no_estimate = 6,    ///< the run ended without a single pose
+  no_estimate = 6,    ///< it went through, but no pose or no geometry came out
   interrupted = 130,  ///< SIGINT or SIGTERM; the partial result is saved
 };
 [[nodiscard]] ExitCode exit_code(ErrorCode code);

@@ -33,8 +33,8 @@ TEST(Program, HelpAndVersionGoToTheStandardOutput) {
   const Ran version = corvid_run({"--version"});
   EXPECT_EQ(version.code, 0);
   EXPECT_THAT(version.out, ::testing::MatchesRegex("corvid [0-9]+\\.[0-9]+\\.[0-9]+\n"));
-  for (const char* command :
-       {"replay", "info", "export", "eval", "record", "doctor", "demo", "options", "bench"}) {
+  for (const char* command : {"replay", "info", "export", "eval", "record", "doctor", "demo",
+                              "options", "match", "bench"}) {
     const Ran own = corvid_run({command, "--help"});
     EXPECT_EQ(own.code, 0) << command;
     EXPECT_THAT(own.out, HasSubstr("--help")) << command;
