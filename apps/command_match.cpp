@@ -155,18 +155,6 @@ void say_notes(const std::vector<MatchImage>& images) {
   for (const auto& [note, names] : said) log().info("{}: {}", fmt::join(names, ", "), note);
 }
 
-// A match of the reference with a third image, as the disambiguation takes it.
-AuxiliaryView auxiliary_view(const MatchView& reference, const MatchView& auxiliary,
-                             const PairMatches& pair) {
-  AuxiliaryView view;
-  view.F_auxiliary_reference = *pair.F;
-  view.x_a.resize(reference.points.size());
-  for (const PairMatch& match : pair.matches) {
-    view.x_a[match.point] = undistort_pixel(auxiliary.camera, match.x_t);
-  }
-  return view;
-}
-
 // Fills in the views, the matches and the times. Throws DeviceFault.
 Expected<void> match_images(PairMatcher& matcher, const std::stop_token& stop, MatchRun& run) {
   const auto append = [&](const std::string& prefix, const Timings& timings) {
@@ -181,14 +169,14 @@ Expected<void> match_images(PairMatcher& matcher, const std::stop_token& stop, M
     run.views.push_back(matcher.prepare(image.grey, image.camera));
     run.timings.emplace_back("prepare " + image.name, watch.lap_ms());
   }
-  std::vector<AuxiliaryView> auxiliary;
+  std::vector<AuxiliaryMatches> auxiliary;
   for (std::size_t i = 2; i < run.images.size(); ++i) {
     if (stop.stop_requested()) return stopped();
     run.auxiliary.push_back(matcher.match(run.views[0], run.views[i]));
     const PairMatches& pair = run.auxiliary.back();
     append(run.images[i].name + ": ", pair.timings);
     if (pair.F) {
-      auxiliary.push_back(auxiliary_view(run.views[0], run.views[i], pair));
+      auxiliary.push_back(auxiliary_matches(run.views[0], run.views[i], pair));
     } else {
       log().warn("{}: not used, it has no common geometry with the reference: {}",
                  run.images[i].name, pair.refusal);
