@@ -9,6 +9,7 @@
 
 #include "frontend/disambiguate/epipolar_constraint.h"
 #include "frontend/disambiguate/highest_scores.h"
+#include "frontend/disambiguate/unique.h"
 #include "frontend/disambiguate/weak_corners.h"
 #include "frontend/epipolar.h"
 #include "frontend/predict.h"
@@ -257,6 +258,7 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
         }
     sets.points.push_back(std::move(point));
   }
+  accept_unique(sets);
   accept_highest_scores(sets, options_.ratio_highest_scores);
   std::vector<Eigen::Vector2d> x_r, x_t;
   for (const auto& point : sets.points)

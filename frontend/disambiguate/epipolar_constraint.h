@@ -10,9 +10,8 @@ namespace corvid {
 ModuleCounts reject_epipolar_outliers(MatchSets& sets, const Eigen::Matrix3d& F,
                                       double max_distance_px);
 
-/// Epipolar constraint (thesis 4.4.4): the ratio-inequalities test on the Sampson distances of a
-/// point's candidates: the nearest, d1, is accepted if d1 < global and the second, d2, is over
-/// `ratio` times as far and beyond `global`; a candidate that is alone needs d1 < global only.
+/// Epipolar constraint (thesis 4.4.5): ratio_inequalities() on the Sampson distances of the
+/// candidates of every point in M.
 ModuleCounts accept_epipolar(MatchSets& sets, const Eigen::Matrix3d& F, double ratio,
                              double max_distance_px);
 

@@ -1,0 +1,119 @@
+#include "frontend/disambiguate/disambiguate.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/stopwatch.h"
+#include "frontend/disambiguate/epipolar_constraint.h"
+#include "frontend/disambiguate/fundamental.h"
+#include "frontend/disambiguate/highest_scores.h"
+#include "frontend/disambiguate/unique.h"
+
+namespace corvid {
+namespace {
+
+/// Candidates per point before any is withdrawn.
+std::vector<std::size_t> candidate_counts(const MatchSets& sets) {
+  std::vector<std::size_t> counts;
+  for (const MatchSets::Point& point : sets.points)
+    if (!point.candidates.empty()) counts.push_back(point.candidates.size());
+  return counts;
+}
+
+/// Whether U is more than choosing the candidate nearest to any F would give.
+bool beyond_choice(const MatchSets& sets, std::span<const std::size_t> candidates,
+                   const Eigen::Matrix3d& F, const DisambiguationOptions& options) {
+  const auto agreeing =
+      static_cast<int>(std::count_if(sets.points.begin(), sets.points.end(),
+                                     [](const auto& p) { return p.accepted.has_value(); }));
+  if (agreeing < options.min_matches) return false;
+  const double chance = chance_of_agreement(sets, F, options.max_epipolar_px);
+  double chosen = 0;
+  for (std::size_t count : candidates) chosen += 1 - std::pow(1 - chance, count);
+  return beyond_chance(agreeing, static_cast<int>(candidates.size()),
+                       chosen / static_cast<double>(candidates.size()));
+}
+
+}  // namespace
+
+std::string_view to_string(DisambiguationModule module) {
+  switch (module) {
+    case DisambiguationModule::unique:
+      return "unique";
+    case DisambiguationModule::fundamental:
+      return "fundamental matrix";
+    case DisambiguationModule::highest_scores:
+      return "highest scores";
+    case DisambiguationModule::epipolar:
+      return "epipolar constraint";
+    case DisambiguationModule::sectors:
+      return "epipolar sectors";
+    case DisambiguationModule::affine_transfer:
+      return "affine transfer";
+    case DisambiguationModule::topology:
+      return "match topology";
+    case DisambiguationModule::epipolar_transfer:
+      return "epipolar transfer";
+  }
+  return "unknown";
+}
+
+ModuleCounts DisambiguationReport::total(DisambiguationModule module) const {
+  ModuleCounts sum;
+  for (const ModuleRun& run : runs) {
+    if (run.module != module) continue;
+    sum.in += run.counts.in;
+    sum.accepted += run.counts.accepted;
+    sum.rejected += run.counts.rejected;
+  }
+  return sum;
+}
+
+Disambiguation disambiguate(MatchSets& sets, const DisambiguationOptions& options,
+                            const std::optional<Eigen::Matrix3d>& F,
+                            std::span<const AuxiliaryView> /*auxiliary*/) {
+  Disambiguation result;
+  DisambiguationReport& report = result.report;
+  report.rounds = 1;
+  int accepted = 0;  // in this round
+  const auto run = [&](bool wanted, DisambiguationModule module, const auto& function) {
+    if (!wanted) return;
+    Stopwatch watch;
+    const ModuleCounts counts = function();
+    report.runs.push_back({module, report.rounds, counts, watch.lap_ms()});
+    accepted += counts.accepted;
+  };
+  const std::vector<std::size_t> candidates = candidate_counts(sets);
+  std::optional<Eigen::Matrix3d>& now = result.F;
+  // F stands on matches that were accepted without F: they prove it. One that was given may lead,
+  // but what it chose must be more than what any F would have chosen.
+  bool proven = false;
+  const auto fit = [&] {
+    run(true, DisambiguationModule::fundamental, [&] {
+      std::optional<Eigen::Matrix3d> fitted = now ? now : F;
+      const ModuleCounts counts = fit_fundamental(sets, options, fitted);
+      proven = proven || (fitted && !now);
+      now = fitted ? fitted : F;
+      return counts;
+    });
+  };
+
+  run(true, DisambiguationModule::unique, [&] { return accept_unique(sets); });
+  fit();
+  for (;; ++report.rounds) {
+    accepted = 0;
+    run(options.highest_scores, DisambiguationModule::highest_scores,
+        [&] { return accept_highest_scores(sets, options.ratio_highest_scores); });
+    run(options.epipolar && now, DisambiguationModule::epipolar, [&] {
+      return accept_epipolar(sets, *now, options.ratio_epipolar, options.max_epipolar_px);
+    });
+    if (accepted == 0) break;
+    fit();
+  }
+  if (now && !proven && !beyond_choice(sets, candidates, *now, options)) now.reset();
+  if (!now)
+    for (MatchSets::Point& point : sets.points) point.accepted.reset();
+  return result;
+}
+
+}  // namespace corvid
