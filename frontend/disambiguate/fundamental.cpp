@@ -58,8 +58,8 @@ ModuleCounts fit_fundamental(MatchSets& sets, const DisambiguationOptions& optio
       x_t.push_back(point.match());
     }
   counts.in = static_cast<int>(x_r.size());
+  const auto geometry = estimate_fundamental(x_r, x_t, options.max_epipolar_px, options.seed, F);
   F.reset();
-  const auto geometry = estimate_fundamental(x_r, x_t, options.max_epipolar_px, options.seed);
   if (!geometry || geometry->inliers < options.min_matches ||
       !beyond_chance(geometry->inliers, counts.in,
                      chance_of_agreement(sets, geometry->F, options.max_epipolar_px)))
