@@ -2,16 +2,20 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <ostream>
 #include <string>
+#include <system_error>
 #include <utility>
 #include <vector>
 
 #include "apps/command_list.h"
 #include "apps/opencl_trouble.h"
+#include "apps/program_source.h"
 #include "apps/signal_guard.h"
+#include "bench/matching/matching_bench.h"
 #include "bench/ncc_bench.h"
 #include "core/log.h"
 #include "io/atomic_file.h"
@@ -114,17 +118,100 @@ Examples:
   return [a](Context& context) { return run_ncc(*a, context); };
 }
 
+struct MatchingArguments {
+  std::vector<std::string> sources;
+  SourceArguments reading;
+  MatchingBenchOptions options;
+  std::string device = "auto";
+  std::optional<std::string> json;
+};
+
+// The folder's or file's own name; the whole of `synthetic:...`.
+std::string set_name(const std::string& spec) {
+  std::error_code error;
+  if (!std::filesystem::exists(spec, error)) return spec;
+  const auto path = std::filesystem::canonical(spec, error);
+  return error || path.filename().empty() ? spec : path.filename().string();
+}
+
+Expected<ExitCode> run_matching(const MatchingArguments& arguments, Context& context) {
+  if (arguments.json) {  // found out before minutes of measuring, as are wrong sources
+    if (auto writable = check_file_writable(*arguments.json); !writable)
+      return tl::unexpected(writable.error());
+  }
+  std::vector<MatchingSet> sets;
+  for (const std::string& spec : arguments.sources) {
+    SourceArguments one = arguments.reading;
+    one.spec = spec;
+    one.options.colour = false;
+    auto source = one.open();
+    if (!source) return tl::unexpected(source.error());
+    log().info("{}", describe((*source)->info()));
+    sets.push_back({set_name(spec), std::move(*source)});
+  }
+  const SignalGuard signals;
+  auto device = open_explained([&] { return Device::open(arguments.device); });
+  if (!device) return tl::unexpected(device.error());
+  MatchingReport report;
+  const auto done = run_matching_bench(*device, sets, arguments.options, signals.token(), report);
+  if (!done && report.rows.empty()) return tl::unexpected(done.error());
+  // What was measured is kept, whatever happened after it.
+  print(report, context.out);
+  if (arguments.json) {
+    if (auto written = write_file_atomically(*arguments.json, json_rows(report)); !written)
+      return tl::unexpected(written.error());
+  }
+  if (!done) return tl::unexpected(done.error());
+  return report.interrupted ? ExitCode::interrupted : ExitCode::ok;
+}
+
+Action add_matching(CLI::App& group) {
+  auto a = std::make_shared<MatchingArguments>();
+  CLI::App* command =
+      group.add_subcommand("matching", "Pair matching against OpenCV's SIFT on images");
+  command
+      ->add_option("SOURCE", a->sources,
+                   "Folders or files of images, or synthetic[:key=value,...]; each is a set")
+      ->required();
+  a->reading.add_reading_options_to(*command);
+  command->add_option("--json", a->json, "File for the rows, as a JSON array");
+  command->add_option("--device", a->device, "auto, cpu, gpu, or a number from `corvid doctor`")
+      ->envname("CORVID_DEVICE")
+      ->capture_default_str();
+  command->add_option("--pairs", a->options.pairs, "Pairs of each set at most")
+      ->check(CLI::Range(3, 100000))
+      ->capture_default_str();
+  command
+      ->add_option("--runs", a->options.runs,
+                   "Runs of each piece of work, of which the median time counts")
+      ->check(CLI::Range(1, 1000))
+      ->capture_default_str();
+  command->footer(R"(
+Matched are images that follow each other and next-but-one images: of stills the first ones, of a
+video runs of three spread over its length. Takes minutes. Ctrl-C ends it; what was measured until
+then is printed and written.
+
+Examples:
+  corvid bench matching photographs/ --json matching.json
+  corvid bench matching MH_05/ kitti07/ --pairs 60
+  corvid bench matching video.mp4 --calibration cam.yaml --step 5
+)");
+  return [a](Context& context) { return run_matching(*a, context); };
+}
+
 }  // namespace
 
 Action add_bench_command(CLI::App& app) {
-  CLI::App* group = app.add_subcommand("bench", "Measure the speed of the engine's parts");
+  CLI::App* group =
+      app.add_subcommand("bench", "Measure the engine's parts: speed, matches, accuracy");
   group->require_subcommand(1);
   group->footer(R"(
 Examples:
   corvid bench ncc --quick
+  corvid bench matching photographs/
 )");
   std::vector<std::pair<const CLI::App*, Action>> benches;
-  for (auto* add : {add_ncc}) {
+  for (auto* add : {add_ncc, add_matching}) {
     Action action = add(*group);
     benches.emplace_back(group->get_subcommands([](const CLI::App*) { return true; }).back(),
                          std::move(action));

@@ -143,6 +143,12 @@ void SourceArguments::add_to(CLI::App& command) {
                   "Folder or file of images, recognised by itself, or synthetic[:key=value,...]; "
                   "./synthetic for a folder of that name")
       ->required();
+  add_reading_options_to(command);
+  command.add_flag_callback(
+      "--grey", [this] { options.colour = false; }, "Do not keep the images' colour");
+}
+
+void SourceArguments::add_reading_options_to(CLI::App& command) {
   command.add_option("--calibration", options.calibration_path,
                      "Camera calibration file, instead of what lies beside the images");
   command
@@ -152,8 +158,6 @@ void SourceArguments::add_to(CLI::App& command) {
   command.add_option("--first", options.first, "Images left out at the start")->check(at_least(0));
   command.add_option("--count", options.count, "Images taken at most")->check(at_least(1));
   command.add_option("--step", options.step, "Every N-th image is taken")->check(at_least(1));
-  command.add_flag_callback(
-      "--grey", [this] { options.colour = false; }, "Do not keep the images' colour");
 }
 
 Expected<std::unique_ptr<FrameSource>> SourceArguments::open() const {

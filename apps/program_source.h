@@ -20,6 +20,8 @@ struct SourceArguments {
 
   /// Adds SOURCE, --calibration, --frame-rate, --first, --count, --step and --grey to a command.
   void add_to(CLI::App& command);
+  /// Adds only those of them that say which images are read and how: all but SOURCE and --grey.
+  void add_reading_options_to(CLI::App& command);
   [[nodiscard]] Expected<std::unique_ptr<FrameSource>> open() const;
 };
 

@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <opencv2/core.hpp>
+#include <ostream>
 #include <string>
 #include <thread>
 
@@ -36,6 +37,15 @@ BenchMachine bench_machine(const Device& device) {
   machine.compiler = CORVID_COMPILER;
   machine.opencv_threads = cv::getNumThreads();
   return machine;
+}
+
+void print_machine(const BenchMachine& m, std::ostream& out) {
+  out << fmt::format("machine   {}, {} cores", m.processor, m.cores);
+  if (m.load_average >= 0) out << fmt::format(", load average {:.1f} at the start", m.load_average);
+  out << fmt::format("\ndevice    {}, {}, {} units, driver {}\n", m.device, m.gpu ? "GPU" : "CPU",
+                     m.compute_units, m.driver);
+  out << fmt::format("software  OpenCV {} ({} threads), {}\n", m.opencv, m.opencv_threads,
+                     m.compiler);
 }
 
 }  // namespace corvid

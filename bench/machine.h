@@ -1,5 +1,6 @@
 #pragma once
 
+#include <iosfwd>
 #include <string>
 
 #include "kernels/device.h"
@@ -20,5 +21,7 @@ struct BenchMachine {
 
 /// OpenCV gets as many threads as it takes by itself.
 [[nodiscard]] BenchMachine bench_machine(const Device& device);
+/// Three lines, for the head of a table.
+void print_machine(const BenchMachine& machine, std::ostream& out);
 
 }  // namespace corvid

@@ -28,13 +28,7 @@ std::optional<double> percent(std::optional<double> share) {
 }
 
 void print_head(const NccReport& report, std::ostream& out) {
-  const BenchMachine& m = report.machine;
-  out << fmt::format("machine   {}, {} cores", m.processor, m.cores);
-  if (m.load_average >= 0) out << fmt::format(", load average {:.1f} at the start", m.load_average);
-  out << fmt::format("\ndevice    {}, {}, {} units, driver {}\n", m.device, m.gpu ? "GPU" : "CPU",
-                     m.compute_units, m.driver);
-  out << fmt::format("software  OpenCV {} ({} threads), {}\n", m.opencv, m.opencv_threads,
-                     m.compiler);
+  print_machine(report.machine, out);
   if (report.peak_measurements > 0) {
     out << fmt::format(
         "peak      {:.1f} GFLOP/s by single precision fused multiply-adds, {:.1f} GB/s by copying "

@@ -113,6 +113,12 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
       {{"bench", "ncc", "--json", ""}, "the file's name is empty"},
       {{"bench", "ncc", "--json", path("new") + "/"}, "is not a file name"},
       {{"bench", "ncc", "--json", "/dev/null"}, "is not a regular file"},
+      {{"bench", "matching"}, "SOURCE"},
+      {{"bench", "matching", "synthetic", "--pairs", "2"}, "--pairs"},
+      {{"bench", "matching", "synthetic", "--json", folder_.string()}, "is a folder"},
+      {{"bench", "matching", "synthetic:seeed=1"}, "seeed"},
+      {{"bench", "matching", "synthetic:duration=0.1,rate=10,width=64,height=64"},
+       "fewer than two images"},
   };
   for (const Case& c : cases) {
     const Ran ran = corvid_run(c.arguments);
@@ -120,7 +126,8 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
     EXPECT_THAT(ran.err, AllOf(HasSubstr("error: "), HasSubstr(c.said)));
     EXPECT_THAT(ran.out, IsEmpty()) << c.said;
   }
-  EXPECT_THAT(corvid_run({"bench", "--help"}).out, HasSubstr("ncc"));
+  EXPECT_THAT(corvid_run({"bench", "--help"}).out, AllOf(HasSubstr("ncc"), HasSubstr("matching")));
+  EXPECT_EQ(corvid_run({"bench", "matching", path("nowhere")}).code, 3);
   EXPECT_THAT(corvid_run({"bench", "ncc", "--help"}).out, HasSubstr("--templates"));
   EXPECT_EQ(corvid_run({"bench", "ncc", "--device", "99"}).code, 5);
 }
@@ -174,6 +181,41 @@ TEST_F(BenchTest, SigintKeepsTheFinishedRowsAndEndsWith130) {
   ASSERT_EQ(rows.size(), 1U);
   EXPECT_EQ(rows[0]["image_px"], 64);
   EXPECT_THAT(out.str(), HasSubstr("3x3"));
+}
+
+constexpr const char* kFlight = "synthetic:duration=0.75,rate=4,width=320,height=240,seed=2";
+
+TEST_F(BenchTest, MatchingIsMeasuredAgainstSift) {
+  const std::string file = path("matching.json");
+  const Ran ran = corvid_run({"bench", "matching", kFlight, "--json", file});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.err, HasSubstr("pair 3 of 3"));
+  EXPECT_THAT(ran.out, AllOf(HasSubstr("load average"), HasSubstr(kFlight),
+                             HasSubstr("3 images of 320x240, 3 pairs"), HasSubstr("2-d matches")));
+  const json rows = json::parse(read(file));
+  ASSERT_EQ(rows.size(), 1U);
+  EXPECT_EQ(rows[0]["set"], kFlight);
+  EXPECT_EQ(rows[0]["pairs"], 3);
+  for (const char* key :
+       {"sift_matches", "corvid_matches", "sift_points", "corvid_points", "sift_mse_px2",
+        "corvid_mse_px2", "sift_truth_px", "corvid_truth_px", "sift_ms", "corvid_ms"})
+    EXPECT_GT(rows[0].at(key), 0) << key;
+}
+
+TEST_F(BenchTest, SigintKeepsTheMatchesSoFar) {
+  SignallingBuffer buffer("pair 2 of");
+  std::ostringstream out;
+  std::ostream err(&buffer);
+  const std::string file = path("matching.json");
+  std::vector<const char*> argv{"corvid", "bench", "matching", "--json", file.c_str()};
+  argv.insert(argv.end(), 12, kFlight);  // the signal comes in the first of them
+  const int code = run_program(static_cast<int>(argv.size()), argv.data(), Context{out, err});
+  EXPECT_EQ(code, 130) << buffer.str();
+  const json rows = json::parse(read(file));
+  ASSERT_GE(rows.size(), 1U);
+  EXPECT_LT(rows.size(), 12U);
+  EXPECT_GE(rows[0]["pairs"], 2);
+  EXPECT_THAT(out.str(), HasSubstr("2-d matches"));
 }
 
 }  // namespace

@@ -75,41 +75,6 @@ TEST(Statistics, OfKnownValues) {
   EXPECT_EQ(statistics({}).count, 0u);
 }
 
-TEST(Associate, TakesTheNearestWithinReach) {
-  const Trajectory truth{{0, {}}, {100 * kMs, {}}, {200 * kMs, {}}};
-  const Trajectory estimate{{10 * kMs, {}}, {89 * kMs, {}}, {195 * kMs, {}}, {300 * kMs, {}}};
-  const auto pairs = associate(estimate, truth);
-  ASSERT_EQ(pairs.size(), 2u);
-  EXPECT_EQ(pairs[0].estimate_index, 0u);
-  EXPECT_EQ(pairs[1].estimate_index, 2u);
-  EXPECT_FALSE(pairs[0].interpolated);
-  EXPECT_EQ(associate(estimate, truth, 0.02).size(), 3u);
-  EXPECT_EQ(associate(estimate, truth, 0.001).size(), 0u);
-}
-
-TEST(Associate, InterpolatesATruthOfHigherRate) {
-  const Trajectory truth{{0, Pose(yaw(10), Eigen::Vector3d(1, 0, 0))},
-                         {8 * kMs, Pose(yaw(30), Eigen::Vector3d(3, 4, 0))}};
-  const auto pairs = associate({{2 * kMs, {}}}, truth);
-  ASSERT_EQ(pairs.size(), 1u);
-  EXPECT_TRUE(pairs[0].interpolated);
-  EXPECT_LT((pairs[0].truth.translation() - Eigen::Vector3d(1.5, 1, 0)).norm(), 1e-12);
-  EXPECT_NEAR(so3_log(pairs[0].truth.rotation()).z() / kRadPerDeg, 15, 1e-9);
-  // At a true pose's own time, that pose.
-  const auto exact = associate({{8 * kMs, {}}}, truth);
-  ASSERT_EQ(exact.size(), 1u);
-  EXPECT_FALSE(exact[0].interpolated);
-  EXPECT_EQ(exact[0].truth.translation(), Eigen::Vector3d(3, 4, 0));
-}
-
-TEST(Associate, UsesEachTruePoseOnce) {
-  const Trajectory truth{{0, {}}, {100 * kMs, {}}};
-  const Trajectory estimate{{95 * kMs, {}}, {99 * kMs, {}}, {103 * kMs, {}}};
-  const auto pairs = associate(estimate, truth);
-  ASSERT_EQ(pairs.size(), 1u);
-  EXPECT_EQ(pairs[0].estimate_index, 1u);
-}
-
 TEST(Evaluate, FindsThePlantedSimilarity) {
   const Trajectory truth = curved(200);
   const Sim3 T(2.5, so3_exp({0.4, -1, 2}), {10, -20, 30});
