@@ -122,9 +122,10 @@ Action add_bench_command(CLI::App& app) {
   group->footer(R"(
 Examples:
   corvid bench ncc --quick
+  corvid bench tracking euroc/MH_05
 )");
   std::vector<std::pair<const CLI::App*, Action>> benches;
-  for (auto* add : {add_ncc}) {
+  for (auto* add : {add_ncc, add_bench_tracking}) {
     Action action = add(*group);
     benches.emplace_back(group->get_subcommands([](const CLI::App*) { return true; }).back(),
                          std::move(action));
