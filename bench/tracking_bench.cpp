@@ -7,8 +7,6 @@
 #include "backend/backend.h"
 #include "backend/triangulate.h"
 #include "bench/timing.h"
-#include "core/log.h"
-#include "frontend/frontend.h"
 
 namespace corvid {
 namespace {
@@ -95,6 +93,16 @@ void score_times(const TrackingRun& run, TrackingRow& row) {
       parts[name].push_back(ms);
     }
   }
+  const auto mean = [&](int FrontendCounts::*count) {
+    double sum = 0;
+    for (const auto& frame : run.frames) sum += frame.counts.*count;
+    return sum / static_cast<double>(run.frames.size());
+  };
+  row.sought = mean(&FrontendCounts::before);
+  row.found = mean(&FrontendCounts::found);
+  row.recovered = mean(&FrontendCounts::recovered);
+  row.outliers = mean(&FrontendCounts::epipolar_outliers);
+  row.added = mean(&FrontendCounts::added);
   row.median_ms = median(wall_ms);
   row.p95_ms = quantile(wall_ms, 0.95);
   row.cpu_ms = median(cpu_ms);
@@ -132,7 +140,8 @@ Expected<TrackingRun> run_tracking_bench(const std::shared_ptr<Device>& device, 
       const double wall = wall_ms(), cpu = process_ms();
       FrameTracks tracks = (*frontend)->process(*frame, motion.get());
       run.frames.push_back({(*frame)->time_ns, tracks.keyframe, tracks.observations,
-                            wall_ms() - wall, process_ms() - cpu, (*frontend)->last_timings_ms()});
+                            wall_ms() - wall, process_ms() - cpu, (*frontend)->last_timings_ms(),
+                            (*frontend)->last_counts()});
       (void)backend.add(tracks);
     }
   } catch (const DeviceFault& fault) {

@@ -13,6 +13,7 @@
 #include "corvid/error.h"
 #include "corvid/options.h"
 #include "corvid/ports.h"
+#include "frontend/frontend.h"
 #include "kernels/device.h"
 
 namespace corvid {
@@ -25,6 +26,7 @@ struct TrackingRun {
     std::vector<TrackObservation> observations;
     double wall_ms = 0, cpu_ms = 0;
     Timings parts_ms;
+    FrontendCounts counts;
   };
   std::string set;
   int max_tracks = 0;

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -60,6 +61,7 @@ class Frontend {
     TrackId id;
     Eigen::Vector2d pixel;        ///< in the last frame where it was found
     Eigen::Vector2d velocity_px;  ///< last displacement between frames
+    bool found_before = false;    ///< there is a velocity
     Eigen::Vector2d keyframe_px;  ///< undistorted, in the last keyframe
     std::shared_ptr<const Anchor> anchor;
     Eigen::Vector2d anchor_px;
@@ -69,7 +71,12 @@ class Frontend {
   Frontend(const FrontendOptions& options, bool stills, PyramidBuilder pyramids,
            CornerDetector corners, NccMatcher matcher);
 
-  [[nodiscard]] std::vector<SearchQuery> predict(const Frame& frame, const MotionState* motion);
+  /// Where the track is seen from a pose, if the backend knows its landmark.
+  [[nodiscard]] static std::optional<SearchQuery> predict(const Track& track, const Camera& camera,
+                                                          const MotionState& motion,
+                                                          const Pose& T_world_camera);
+  /// Looks for every track near its predicted place; score 0 where there is none above min_score.
+  [[nodiscard]] std::vector<SearchCandidate> search(const Frame& frame, const MotionState* motion);
   /// Looks for the tracks that were not found, around where their found neighbours went.
   void recover(const Camera& camera, const ImageSimilarity* similarity,
                std::vector<SearchCandidate>& found);

@@ -33,7 +33,7 @@ struct SearchCandidate {
 struct SearchSchedule {
   int first_level = 2;
   int first_radius_px = 4;
-  int refine_radius_px = 2;
+  int refine_radius_px = 3;
 };
 
 /// NCC search of many features in one image (algorithms.md 3, "in a video stream").
@@ -61,7 +61,8 @@ class TrackSearch {
   };
   [[nodiscard]] std::vector<NccResult> match_level(const DevicePyramid& target,
                                                    std::span<const SearchQuery> queries,
-                                                   std::span<const LevelJob> jobs, int level);
+                                                   std::span<const LevelJob> jobs, int level,
+                                                   double peak_quality);
 
   NccMatcher& matcher_;
   int template_px_;
