@@ -102,6 +102,7 @@ void score_times(const TrackingRun& run, TrackingRow& row) {
   row.found = mean(&FrontendCounts::found);
   row.recovered = mean(&FrontendCounts::recovered);
   row.outliers = mean(&FrontendCounts::epipolar_outliers);
+  row.merged = mean(&FrontendCounts::merged);
   row.added = mean(&FrontendCounts::added);
   row.median_ms = median(wall_ms);
   row.p95_ms = quantile(wall_ms, 0.95);

@@ -59,8 +59,9 @@ void print(const TrackingReport& report, std::ostream& out) {
       out << fmt::format("  {:<22} {:>8.2f} ms median in {:>5} frames, {:>8.2f} ms per frame\n",
                          step.name, step.median_ms, step.runs, step.mean_ms);
     out << fmt::format(
-        "  per frame: {:.0f} sought, {:.0f} found, {:.0f} recovered, {:.0f} outliers, {:.0f} new\n",
-        row.sought, row.found, row.recovered, row.outliers, row.added);
+        "  per frame: {:.0f} sought, {:.0f} found, {:.0f} recovered, {:.0f} outliers, {:.1f} "
+        "merged, {:.0f} new\n",
+        row.sought, row.found, row.recovered, row.outliers, row.merged, row.added);
     out << fmt::format("  {:>6} {:>8} {:>9} {:>9} {:>10} {:>10}\n", "after", "born", "alive",
                        "visible", "to line", "to point");
     for (const TrackAge& age : row.ages)
@@ -79,15 +80,21 @@ void print(const TrackingReport& report, std::ostream& out) {
 std::string json_rows(const TrackingReport& report) {
   std::string text = "[";
   for (const TrackingRow& row : report.rows) {
-    Json json = {
-        {"set", row.set},       {"width_px", row.width_px},   {"height_px", row.height_px},
-        {"frames", row.frames}, {"keyframes", row.keyframes}, {"max_tracks", row.max_tracks},
-        {"tracks", row.tracks}, {"median_ms", row.median_ms}, {"p95_ms", row.p95_ms},
-        {"cpu_ms", row.cpu_ms},
+    Json json = {{"set", row.set},
+                 {"width_px", row.width_px},
+                 {"height_px", row.height_px},
+                 {"frames", row.frames},
+                 {"keyframes", row.keyframes},
+                 {"max_tracks", row.max_tracks},
+                 {"tracks", row.tracks},
+                 {"median_ms", row.median_ms},
+                 {"p95_ms", row.p95_ms},
+                 {"cpu_ms", row.cpu_ms},
                  {"sought", row.sought},
                  {"found", row.found},
                  {"recovered", row.recovered},
                  {"outliers", row.outliers},
+                 {"merged", row.merged},
                  {"added", row.added}};
     for (const TrackingStep& step : row.steps)
       json["steps"].push_back({{"name", step.name},

@@ -51,8 +51,8 @@ struct TrackingRow {
   double cpu_ms = 0;                 ///< median processor time of it, the device's threads included
   std::vector<TrackingStep> steps;
   /// Tracks per frame, mean: looked for, found near the prediction, found by the wide search after
-  /// it, thrown out as against the epipolar geometry, new.
-  double sought = 0, found = 0, recovered = 0, outliers = 0, added = 0;
+  /// it, thrown out as against the epipolar geometry, ended as following the same as another, new.
+  double sought = 0, found = 0, recovered = 0, outliers = 0, merged = 0, added = 0;
   bool has_truth = false;
   std::array<TrackAge, kTrackAges.size()> ages;
 };

@@ -12,6 +12,7 @@
 #include "frontend/disambiguate/unique.h"
 #include "frontend/disambiguate/weak_corners.h"
 #include "frontend/epipolar.h"
+#include "frontend/merge.h"
 #include "frontend/predict.h"
 
 namespace corvid {
@@ -163,8 +164,12 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
         track.velocity_px = (found[i].pixel - track.pixel) / gap;
         track.found_before = true;
         track.pixel = found[i].pixel;
+        // An error of the template's place moves the match by as much.
+        const Eigen::Matrix2d to_here = track.warp.inverse();
+        track.covariance_px2 =
+            found[i].covariance_px2 + to_here * track.anchor_covariance_px2 * to_here.transpose();
         result.observations.push_back(
-            {track.id, found[i].pixel, found[i].score, found[i].sigma_px});
+            {track.id, track.pixel, found[i].score, track.covariance_px2});
         alive.push_back(std::move(track));
       }
       tracks_ = std::move(alive);
@@ -174,10 +179,12 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
   result.keyframe = stills_ || keyframe_due(*frame->camera);
   if (result.keyframe) {
     anchor->keyframe = true;
+    if (!stills_) merge(result.observations);
     const std::size_t before = tracks_.size();
     make_keyframe(*frame);
     for (std::size_t i = before; i < tracks_.size(); ++i)
-      result.observations.push_back({tracks_[i].id, tracks_[i].pixel, 1.0F, 0.5F});
+      result.observations.push_back(
+          {tracks_[i].id, tracks_[i].pixel, 1.0F, tracks_[i].covariance_px2});
     timings_.emplace_back("frontend/corners", watch.lap_ms());
   }
   previous_ = current_;
@@ -338,6 +345,7 @@ bool Frontend::accept_recovered(Track& track, const SearchQuery& query,
   if (match.score < options_.min_score) return false;
   track.anchor = previous_;
   track.anchor_px = track.pixel;
+  track.anchor_covariance_px2 = track.covariance_px2;
   track.warp = query.warp;
   ++counts_.recovered;
   return true;
@@ -431,6 +439,21 @@ void Frontend::reject_outliers(const Camera& camera, std::vector<SearchCandidate
     }
 }
 
+void Frontend::merge(std::vector<TrackObservation>& observations) {
+  constexpr double kSameFeaturePx = 1.5;
+  std::vector<Eigen::Vector2d> pixels, velocities_px;
+  for (const Track& track : tracks_) {
+    pixels.push_back(track.pixel);
+    velocities_px.push_back(track.velocity_px);
+  }
+  std::unordered_set<TrackId> ended;
+  for (const std::size_t i : find_duplicates(pixels, velocities_px, kSameFeaturePx))
+    ended.insert(tracks_[i].id);
+  std::erase_if(tracks_, [&](const Track& track) { return ended.contains(track.id); });
+  std::erase_if(observations, [&](const auto& o) { return ended.contains(o.track); });
+  counts_.merged = static_cast<int>(ended.size());
+}
+
 bool Frontend::keyframe_due(const Camera& camera) const {
   if (keyframe_tracks_ == 0 || tracks_.size() < 8) return true;
   if (static_cast<double>(tracks_.size()) <
@@ -467,6 +490,7 @@ void Frontend::make_keyframe(const Frame& frame) {
         current_->frame.value - track.anchor->frame.value > 200) {
       track.anchor = current_;
       track.anchor_px = track.pixel;
+      track.anchor_covariance_px2 = track.covariance_px2;
       track.warp = Eigen::Matrix2d::Identity();
     }
     if (const auto x = undistort_pixel(*frame.camera, track.pixel)) track.keyframe_px = *x;

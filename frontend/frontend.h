@@ -26,6 +26,7 @@ struct FrontendCounts {
   int found = 0;              ///< by the bounded search
   int recovered = 0;          ///< by the wide search after it
   int epipolar_outliers = 0;  ///< found, but against the geometry of the others
+  int merged = 0;             ///< ended, since an older track follows the same feature
   int added = 0;              ///< new corners
 };
 
@@ -65,6 +66,10 @@ class Frontend {
     Eigen::Vector2d keyframe_px;  ///< undistorted, in the last keyframe
     std::shared_ptr<const Anchor> anchor;
     Eigen::Vector2d anchor_px;
+    /// Of `pixel` and `anchor_px`, relative to the track's first place, which is right by
+    /// definition: the feature is what lies there.
+    Eigen::Matrix2d covariance_px2 = Eigen::Matrix2d::Zero();
+    Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();
     Eigen::Matrix2d warp = Eigen::Matrix2d::Identity();
   };
 
@@ -89,6 +94,8 @@ class Frontend {
   /// Re-searches what is missing with the affinity of the matched neighbours (stills).
   void guide(std::vector<SearchCandidate>& found);
   void reject_outliers(const Camera& camera, std::vector<SearchCandidate>& found);
+  /// Ends tracks that follow the same feature as an older one, and takes back their observations.
+  void merge(std::vector<TrackObservation>& observations);
   [[nodiscard]] bool keyframe_due(const Camera& camera) const;
   void make_keyframe(const Frame& frame);
   void reset();

@@ -61,10 +61,6 @@ Matched keep_agreeing(Matched matched, const Eigen::Matrix2d& prior, double shar
   return matched;
 }
 
-Eigen::Matrix2d peak_covariance_px2(const SearchCandidate& candidate) {
-  return candidate.sigma_px * candidate.sigma_px * Eigen::Matrix2d::Identity();
-}
-
 }  // namespace
 
 struct PairMatcher::Impl {
@@ -382,7 +378,7 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
     if (point.accepted) {
       const SearchCandidate& candidate = point.candidates[*point.accepted];
       result.matches.push_back({k, reference.points[k], candidate.pixel, candidate.score,
-                                peak_covariance_px2(candidate), queries[*query_of[k]].warp});
+                                candidate.covariance_px2, queries[*query_of[k]].warp});
       continue;
     }
     UnmatchedPoint unmatched{k, NoMatch::geometry, {}};

@@ -9,16 +9,6 @@ namespace {
 
 constexpr int kMaxRadiusPx = 16;
 
-/// For correlated noise of variance 1 - C against unit signal variance, the peak of a surface with
-/// curvature |H| wanders by about sqrt((1 - C) / |H|); the weaker axis decides.
-float position_sigma_px(const NccPeak& peak) {
-  const double mean = -0.5 * (peak.cxx + peak.cyy);
-  const double half_difference = 0.5 * (peak.cxx - peak.cyy);
-  const double weak = mean - std::hypot(half_difference, static_cast<double>(peak.cxy));
-  const double residual = std::max(1e-3, 1.0 - static_cast<double>(peak.score));
-  return static_cast<float>(std::clamp(std::sqrt(residual / std::max(weak, 1e-3)), 0.1, 4.0));
-}
-
 /// Half the side of the square that holds the warped template.
 double warped_half_side(const Eigen::Matrix2d& warp, int template_px) {
   return 0.5 * (template_px - 1) * warp.cwiseAbs().rowwise().sum().maxCoeff() + 1;
@@ -32,10 +22,25 @@ bool fits(const DeviceImage& image, const Eigen::Vector2d& pixel, double border_
 
 }  // namespace
 
+Eigen::Matrix2d peak_covariance_px2(const NccPeak& peak) {
+  constexpr double kLeastPx = 0.1, kMostPx = 4;
+  const double cxx = peak.cxx, cxy = peak.cxy, cyy = peak.cyy;
+  const double residual = 0.5 * std::max(1e-3, 1.0 - static_cast<double>(peak.score));
+  const auto variance_px2 = [&](double curvature) {
+    return std::clamp(residual / std::max(curvature, 1e-3), kLeastPx * kLeastPx, kMostPx * kMostPx);
+  };
+  // Eigenvalues of -H, the direction of the larger one.
+  const double mean = -0.5 * (cxx + cyy), difference = std::hypot(0.5 * (cxx - cyy), cxy);
+  const double angle = 0.5 * std::atan2(-2 * cxy, cyy - cxx);
+  const Eigen::Vector2d strong(std::cos(angle), std::sin(angle)), weak(-strong.y(), strong.x());
+  return variance_px2(mean + difference) * strong * strong.transpose() +
+         variance_px2(mean - difference) * weak * weak.transpose();
+}
+
 SearchCandidate to_candidate(const NccPeak& peak, int level) {
   const double scale = std::ldexp(1.0, level);
   return {Eigen::Vector2d(peak.x_px, peak.y_px) * scale, peak.score,
-          position_sigma_px(peak) * static_cast<float>(scale)};
+          peak_covariance_px2(peak) * (scale * scale)};
 }
 
 std::vector<NccResult> TrackSearch::match_level(const DevicePyramid& target,

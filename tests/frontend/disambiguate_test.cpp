@@ -12,7 +12,7 @@ MatchSets::Point point(Eigen::Vector2d x_r, std::vector<std::pair<Eigen::Vector2
   MatchSets::Point p;
   p.x_r = x_r;
   for (const auto& [x, score] : found) {
-    p.candidates.push_back({x, score, 0.3F});
+    p.candidates.push_back({x, score, 0.09 * Eigen::Matrix2d::Identity()});
     p.x_t.push_back(x);
   }
   return p;
