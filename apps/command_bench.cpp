@@ -209,9 +209,10 @@ Action add_bench_command(CLI::App& app) {
 Examples:
   corvid bench ncc --quick
   corvid bench matching photographs/
+  corvid bench tracking euroc/MH_05
 )");
   std::vector<std::pair<const CLI::App*, Action>> benches;
-  for (auto* add : {add_ncc, add_matching}) {
+  for (auto* add : {add_ncc, add_matching, add_bench_tracking}) {
     Action action = add(*group);
     benches.emplace_back(group->get_subcommands([](const CLI::App*) { return true; }).back(),
                          std::move(action));

@@ -26,4 +26,7 @@ Action add_options_command(CLI::App& app);
 Action add_match_command(CLI::App& app);
 Action add_bench_command(CLI::App& app);
 
+/// A subcommand of `bench` in a file of its own.
+Action add_bench_tracking(CLI::App& group);
+
 }  // namespace corvid

@@ -23,8 +23,8 @@ Rgb8 colour_at(const Frame& frame, const Eigen::Vector2d& pixel) {
 
 double floored_sigma_px(const TrackObservation& observation) {
   constexpr double kFloorPx = 0.3, kDefaultPx = 1;
-  const double sigma = observation.sigma_px;
-  return std::isfinite(sigma) && sigma > 0 ? std::max(sigma, kFloorPx) : kDefaultPx;
+  const double sigma = largest_sigma_px(observation.covariance_px2);
+  return std::isfinite(sigma) ? std::max(sigma, kFloorPx) : kDefaultPx;
 }
 
 std::optional<Eigen::Vector3d> usable_ray(const Camera& camera,

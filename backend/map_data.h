@@ -71,7 +71,7 @@ struct MapData {
   void append(MapData&& other);
 };
 
-/// sigma_px of an observation: never below what NCC peaks can deliver.
+/// largest_sigma_px() of an observation: never below what NCC peaks can deliver.
 [[nodiscard]] double floored_sigma_px(const TrackObservation& observation);
 
 /// Finite, and inside what the camera model can invert.

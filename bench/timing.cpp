@@ -6,7 +6,6 @@
 #include <chrono>
 
 namespace corvid {
-namespace {
 
 double process_ms() {
   rusage usage{};
@@ -16,8 +15,6 @@ double process_ms() {
   };
   return ms(usage.ru_utime) + ms(usage.ru_stime);
 }
-
-}  // namespace
 
 double wall_ms() {
   const std::chrono::duration<double, std::milli> now =

@@ -21,6 +21,8 @@ struct TimedWork {
 
 /// Milliseconds of the steady clock.
 [[nodiscard]] double wall_ms();
+/// Processor time of this process so far, all threads [ms].
+[[nodiscard]] double process_ms();
 
 /// Runs each once for the caches, clocks and buffers, then all in turn (first, second, ..., first,
 /// second, ...) `runs` times, so that all see the same load of the machine. One Timing per work;

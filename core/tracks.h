@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -16,8 +17,17 @@ struct TrackObservation {
   TrackId track;
   Eigen::Vector2d pixel = Eigen::Vector2d::Zero();  ///< in the camera's own (distorted) image
   float score = 0;                                  ///< NCC score of the match, 1 for a new feature
-  float sigma_px = 1;  ///< standard deviation of the position, from the shape of the peak
+  /// Of the position relative to the track's first one [px^2]: from the shape of the correlation
+  /// peak and the score, plus that of the place where the template was cut.
+  Eigen::Matrix2d covariance_px2 = Eigen::Matrix2d::Identity();
 };
+
+/// Standard deviation along the axis on which a position is least certain [px].
+[[nodiscard]] inline double largest_sigma_px(const Eigen::Matrix2d& covariance_px2) {
+  const double mean = 0.5 * covariance_px2.trace();
+  const double half_difference = 0.5 * (covariance_px2(0, 0) - covariance_px2(1, 1));
+  return std::sqrt(mean + std::hypot(half_difference, covariance_px2(0, 1)));
+}
 
 /// All features of one frame, sorted by track.
 struct FrameTracks {

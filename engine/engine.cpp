@@ -120,9 +120,10 @@ FrameTracks Engine::Impl::Run::track(const FramePtr& frame) {
   metrics.add("frontend", watch.lap_ms());
   metrics.add(frontend->last_timings_ms());
   const FrontendCounts& counts = frontend->last_counts();
-  log().debug("frame {}: {} tracks sought, {} found, {} recovered, {} outliers, {} new{}",
-              frame->id.value, counts.before, counts.found, counts.recovered,
-              counts.epipolar_outliers, counts.added, tracks.keyframe ? ", keyframe" : "");
+  log().debug(
+      "frame {}: {} tracks sought, {} found, {} recovered, {} outliers, {} merged, {} new{}",
+      frame->id.value, counts.before, counts.found, counts.recovered, counts.epipolar_outliers,
+      counts.merged, counts.added, tracks.keyframe ? ", keyframe" : "");
   return tracks;
 }
 

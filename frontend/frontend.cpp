@@ -12,6 +12,7 @@
 #include "frontend/disambiguate/unique.h"
 #include "frontend/disambiguate/weak_corners.h"
 #include "frontend/epipolar.h"
+#include "frontend/merge.h"
 #include "frontend/predict.h"
 
 namespace corvid {
@@ -22,6 +23,11 @@ constexpr int kMinLevelSidePx = 40;
 constexpr int kMaxMisses = 15;  // frames without a match until all tracks are given up
 constexpr int kMinFound = 8;    // fewer found tracks: the frame is a miss
 constexpr double kMinFoundShare = 0.1;
+constexpr std::size_t kNeighbours = 7;  // whose motion says where a track went
+// Windows around predictions, in shares of the width: errors of constant velocity are about 1.5 px
+// of 752 in the median and 3.5 px at 95 %; neighbours at another depth are further off.
+constexpr double kKnownRadius = 6.0 / 752, kNeighbourRadius = 10.0 / 752;
+constexpr SearchSchedule kCoarseToFine{2, 4, 3};
 
 int level_count(int width_px, int height_px) {
   int levels = 1;
@@ -37,20 +43,20 @@ T median(std::vector<T> values) {
   return *middle;
 }
 
-/// Indices of the `k` points nearest to `x`, nearest first.
+/// Indices of the `k` points nearest to `x`, in no order that means anything.
 std::vector<std::size_t> nearest(const std::vector<Eigen::Vector2d>& points,
                                  const Eigen::Vector2d& x, std::size_t k) {
-  std::vector<std::size_t> order(points.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::vector<std::pair<double, std::size_t>> order(points.size());
+  for (std::size_t i = 0; i < points.size(); ++i) order[i] = {(points[i] - x).squaredNorm(), i};
   k = std::min(k, points.size());
-  std::partial_sort(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(k), order.end(),
-                    [&](std::size_t a, std::size_t b) {
-                      const double da = (points[a] - x).squaredNorm();
-                      const double db = (points[b] - x).squaredNorm();
-                      return da != db ? da < db : a < b;
-                    });
-  order.resize(k);
-  return order;
+  std::nth_element(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(k), order.end());
+  std::vector<std::size_t> indices;
+  for (std::size_t i = 0; i < k; ++i) indices.push_back(order[i].second);
+  return indices;
+}
+
+std::ptrdiff_t count_found(const std::vector<SearchCandidate>& found) {
+  return std::count_if(found.begin(), found.end(), [](const auto& f) { return f.score > 0; });
 }
 
 /// Component-wise median displacement of the points nearest to `x`.
@@ -58,7 +64,7 @@ Eigen::Vector2d neighbour_motion(const std::vector<Eigen::Vector2d>& points,
                                  const std::vector<Eigen::Vector2d>& displacements,
                                  const Eigen::Vector2d& x) {
   std::vector<double> dx, dy;
-  for (std::size_t i : nearest(points, x, 7)) {
+  for (std::size_t i : nearest(points, x, kNeighbours)) {
     dx.push_back(displacements[i].x());
     dy.push_back(displacements[i].y());
   }
@@ -116,7 +122,7 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
   if (!tracks_.empty()) {
     std::optional<ImageSimilarity> similarity;
     const auto enough = [&] {
-      const auto n = std::count_if(found.begin(), found.end(), [](auto& f) { return f.score > 0; });
+      const auto n = count_found(found);
       return n >= kMinFound && static_cast<double>(n) >= kMinFoundShare * counts_.before;
     };
     if (stills_) {
@@ -125,13 +131,9 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
       recover(*frame->camera, similarity->valid ? &*similarity : nullptr, found);
       guide(found);
     } else {
-      const auto queries = predict(*frame, motion);
-      found = search_.track(*current_->pyramid, queries, {2, 4, 2});
-      for (std::size_t i = 0; i < found.size(); ++i) {
-        tracks_[i].warp = queries[i].warp;
-        if (found[i].score < options_.min_score) found[i] = {};
-        counts_.found += found[i].score > 0;
-      }
+      found = search(*frame, motion);
+      counts_.found = static_cast<int>(count_found(found));
+      timings_.emplace_back("frontend/search", watch.lap_ms());
       recover(*frame->camera, nullptr, found);
       if (!enough() && misses_ % 5 == 0) {
         // Nothing is where it was: a jump of the camera, or frames that were lost.
@@ -143,7 +145,7 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
         }
       }
     }
-    timings_.emplace_back("frontend/track", watch.lap_ms());
+    timings_.emplace_back("frontend/recover", watch.lap_ms());
     reject_outliers(*frame->camera, found);
     timings_.emplace_back("frontend/epipolar", watch.lap_ms());
 
@@ -160,9 +162,14 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
         if (found[i].score <= 0) continue;
         Track& track = tracks_[i];
         track.velocity_px = (found[i].pixel - track.pixel) / gap;
+        track.found_before = true;
         track.pixel = found[i].pixel;
+        // An error of the template's place moves the match by as much.
+        const Eigen::Matrix2d to_here = track.warp.inverse();
+        track.covariance_px2 =
+            found[i].covariance_px2 + to_here * track.anchor_covariance_px2 * to_here.transpose();
         result.observations.push_back(
-            {track.id, found[i].pixel, found[i].score, found[i].sigma_px});
+            {track.id, track.pixel, found[i].score, track.covariance_px2});
         alive.push_back(std::move(track));
       }
       tracks_ = std::move(alive);
@@ -172,45 +179,89 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
   result.keyframe = stills_ || keyframe_due(*frame->camera);
   if (result.keyframe) {
     anchor->keyframe = true;
+    if (!stills_) merge(result.observations);
     const std::size_t before = tracks_.size();
     make_keyframe(*frame);
     for (std::size_t i = before; i < tracks_.size(); ++i)
-      result.observations.push_back({tracks_[i].id, tracks_[i].pixel, 1.0F, 0.5F});
+      result.observations.push_back(
+          {tracks_[i].id, tracks_[i].pixel, 1.0F, tracks_[i].covariance_px2});
     timings_.emplace_back("frontend/corners", watch.lap_ms());
   }
   previous_ = current_;
   return result;
 }
 
-std::vector<SearchQuery> Frontend::predict(const Frame& frame, const MotionState* motion) {
+std::optional<SearchQuery> Frontend::predict(const Track& track, const Camera& camera,
+                                             const MotionState& motion,
+                                             const Pose& T_world_camera) {
+  const Eigen::Vector3d* const p_world = find_landmark(motion, track.id);
+  if (!p_world) return std::nullopt;
+  const auto pixel = camera.project(T_world_camera.inverse() * *p_world);
+  if (!pixel) return std::nullopt;
+  SearchQuery query{track.anchor->pyramid, track.anchor_px, track.warp, *pixel};
+  if (const Pose* T_world_anchor = find_keyframe(motion, track.anchor->frame))
+    if (const auto warp = predict_warp(camera, *T_world_anchor, T_world_camera, *p_world))
+      query.warp = *warp;
+  return query;
+}
+
+std::vector<SearchCandidate> Frontend::search(const Frame& frame, const MotionState* motion) {
+  const double width_px = frame.grey.width();
+  const auto window = [&](double share) {
+    const int radius_px = std::max(4, static_cast<int>(std::lround(share * width_px)));
+    return SearchSchedule{0, radius_px, radius_px};
+  };
+  std::vector<SearchCandidate> found(tracks_.size());
+  const auto look = [&](std::span<const SearchQuery> queries, std::span<const std::size_t> slots,
+                        const SearchSchedule& schedule) {
+    const auto matches = search_.track(*current_->pyramid, queries, schedule);
+    for (std::size_t k = 0; k < slots.size(); ++k) {
+      tracks_[slots[k]].warp = queries[k].warp;
+      if (matches[k].score >= options_.min_score) found[slots[k]] = matches[k];
+    }
+  };
+
+  // First those of which the backend knows where they are; then the others where their neighbours
+  // went.
+  std::vector<std::size_t> known, others;
+  std::vector<SearchQuery> queries, other_queries;
   const Camera& camera = motion && motion->camera ? *motion->camera : *frame.camera;
-  std::vector<SearchQuery> queries(tracks_.size());
-  std::vector<bool> known(tracks_.size(), false);
-  std::vector<Eigen::Vector2d> at, moved;  // of the tracks with a landmark
-  std::vector<Eigen::Matrix2d> warps;
-  const auto pose = motion ? predict_pose(*motion, frame.time_ns) : std::nullopt;
+  const auto T_world_camera = motion ? predict_pose(*motion, frame.time_ns) : std::nullopt;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
-    const Track& track = tracks_[i];
-    queries[i] = {track.anchor->pyramid, track.anchor_px, track.warp,
-                  track.pixel + (misses_ == 0 ? track.velocity_px : Eigen::Vector2d::Zero())};
-    if (!pose) continue;
-    const Eigen::Vector3d* p_world = find_landmark(*motion, track.id);
-    if (!p_world) continue;
-    const auto pixel = camera.project(pose->inverse() * *p_world);
-    if (!pixel) continue;
-    queries[i].predicted_px = *pixel;
-    if (const Pose* T_world_anchor = find_keyframe(*motion, track.anchor->frame))
-      if (const auto warp = predict_warp(camera, *T_world_anchor, *pose, *p_world))
-        queries[i].warp = *warp;
-    known[i] = true;
-    at.push_back(track.pixel);
-    moved.push_back(*pixel - track.pixel);
+    auto query = T_world_camera ? predict(tracks_[i], camera, *motion, *T_world_camera)
+                                : std::optional<SearchQuery>();
+    if (query) {
+      known.push_back(i);
+      queries.push_back(std::move(*query));
+    } else {
+      others.push_back(i);
+    }
   }
-  if (at.size() >= 7)
-    for (std::size_t i = 0; i < tracks_.size(); ++i)
-      if (!known[i])
-        queries[i].predicted_px = tracks_[i].pixel + neighbour_motion(at, moved, tracks_[i].pixel);
-  return queries;
+  if (known.size() >= kNeighbours) look(queries, known, window(kKnownRadius));
+  std::vector<Eigen::Vector2d> at, moved, changed;
+  for (const std::size_t i : known)
+    if (found[i].score > 0) {
+      at.push_back(tracks_[i].pixel);
+      moved.push_back(found[i].pixel - tracks_[i].pixel);
+      changed.push_back(moved.back() - tracks_[i].velocity_px);
+    }
+  const bool guided = at.size() >= kNeighbours && 2 * at.size() >= known.size();
+  if (!guided) {  // no map yet, or not where it was predicted: everything coarse to fine
+    others.resize(tracks_.size());
+    std::iota(others.begin(), others.end(), std::size_t{0});
+  }
+  for (const std::size_t i : others) {
+    const Track& track = tracks_[i];
+    Eigen::Vector2d motion_px = misses_ == 0 ? track.velocity_px : Eigen::Vector2d::Zero();
+    if (guided && misses_ == 0 && track.found_before)
+      motion_px += neighbour_motion(at, changed, track.pixel);
+    else if (guided)
+      motion_px = neighbour_motion(at, moved, track.pixel);
+    other_queries.push_back(
+        {track.anchor->pyramid, track.anchor_px, track.warp, track.pixel + motion_px});
+  }
+  look(other_queries, others, guided ? window(kNeighbourRadius) : kCoarseToFine);
+  return found;
 }
 
 void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
@@ -234,14 +285,14 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
     if (similarity) {
       query.predicted_px = (*similarity)(tracks_[i].pixel);
       query.warp = similarity->linear().inverse();
-    } else if (at.size() >= 7) {
+    } else if (at.size() >= kNeighbours) {
       query.predicted_px += neighbour_motion(at, moved, tracks_[i].pixel);
     }
     queries.push_back(query);
   }
-  const bool bounded = !similarity && at.size() >= 7 && at.size() >= tracks_.size() / 2;
-  const int level = std::min(bounded ? 1 : 3, current_->pyramid->levels() - 1);
-  const int radius = bounded ? 5 : 8;
+  const bool bounded = !similarity && at.size() >= kNeighbours && at.size() >= tracks_.size() / 2;
+  const int level = bounded ? 0 : std::min(3, current_->pyramid->levels() - 1);
+  const int radius = bounded ? 15 : 8;
   auto candidates = search_.candidates(*current_->pyramid, queries, level, radius);
   remove_weak_corners(queries, level, candidates);
 
@@ -283,7 +334,7 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
       refined.back().predicted_px = sets.points[k].candidates[*sets.points[k].accepted].pixel;
       slots.push_back(missing[k]);
     }
-  const auto matches = search_.track(*current_->pyramid, refined, {std::max(0, level - 1), 3, 2});
+  const auto matches = search_.track(*current_->pyramid, refined, {std::max(0, level - 1), 3, 3});
   for (std::size_t k = 0; k < slots.size(); ++k) {
     if (accept_recovered(tracks_[slots[k]], refined[k], matches[k])) found[slots[k]] = matches[k];
   }
@@ -294,6 +345,7 @@ bool Frontend::accept_recovered(Track& track, const SearchQuery& query,
   if (match.score < options_.min_score) return false;
   track.anchor = previous_;
   track.anchor_px = track.pixel;
+  track.anchor_covariance_px2 = track.covariance_px2;
   track.warp = query.warp;
   ++counts_.recovered;
   return true;
@@ -322,7 +374,7 @@ void Frontend::remove_weak_corners(std::span<const SearchQuery> queries, int lev
 }
 
 void Frontend::guide(std::vector<SearchCandidate>& found) {
-  constexpr std::size_t kNeighbours = 8;
+  constexpr std::size_t kFitted = 8;
   for (int round = 0; round < 2; ++round) {
     std::vector<Eigen::Vector2d> from, to;
     for (std::size_t i = 0; i < tracks_.size(); ++i)
@@ -330,14 +382,14 @@ void Frontend::guide(std::vector<SearchCandidate>& found) {
         from.push_back(tracks_[i].pixel);
         to.push_back(found[i].pixel);
       }
-    if (from.size() < 2 * kNeighbours) return;
+    if (from.size() < 2 * kFitted) return;
     std::vector<SearchQuery> queries;
     std::vector<std::size_t> slots;
     for (std::size_t i = 0; i < tracks_.size(); ++i) {
       if (found[i].score > 0) continue;
       // Affinity of the neighbours by least squares around their centroid, held near a similarity
       // by the spread of the points.
-      const auto close = nearest(from, tracks_[i].pixel, kNeighbours);
+      const auto close = nearest(from, tracks_[i].pixel, kFitted);
       Eigen::Vector2d mean_from = Eigen::Vector2d::Zero(), mean_to = mean_from;
       for (std::size_t k : close) {
         mean_from += from[k] / static_cast<double>(close.size());
@@ -356,7 +408,7 @@ void Frontend::guide(std::vector<SearchCandidate>& found) {
       queries.push_back({previous_->pyramid, tracks_[i].pixel, affine.inverse(), predicted});
       slots.push_back(i);
     }
-    const auto matches = search_.track(*current_->pyramid, queries, {2, 4, 2});
+    const auto matches = search_.track(*current_->pyramid, queries, kCoarseToFine);
     for (std::size_t k = 0; k < slots.size(); ++k) {
       if (accept_recovered(tracks_[slots[k]], queries[k], matches[k])) found[slots[k]] = matches[k];
     }
@@ -385,6 +437,21 @@ void Frontend::reject_outliers(const Camera& camera, std::vector<SearchCandidate
       found[slots[k]] = {};
       ++counts_.epipolar_outliers;
     }
+}
+
+void Frontend::merge(std::vector<TrackObservation>& observations) {
+  constexpr double kSameFeaturePx = 1.5;
+  std::vector<Eigen::Vector2d> pixels, velocities_px;
+  for (const Track& track : tracks_) {
+    pixels.push_back(track.pixel);
+    velocities_px.push_back(track.velocity_px);
+  }
+  std::unordered_set<TrackId> ended;
+  for (const std::size_t i : find_duplicates(pixels, velocities_px, kSameFeaturePx))
+    ended.insert(tracks_[i].id);
+  std::erase_if(tracks_, [&](const Track& track) { return ended.contains(track.id); });
+  std::erase_if(observations, [&](const auto& o) { return ended.contains(o.track); });
+  counts_.merged = static_cast<int>(ended.size());
 }
 
 bool Frontend::keyframe_due(const Camera& camera) const {
@@ -423,6 +490,7 @@ void Frontend::make_keyframe(const Frame& frame) {
         current_->frame.value - track.anchor->frame.value > 200) {
       track.anchor = current_;
       track.anchor_px = track.pixel;
+      track.anchor_covariance_px2 = track.covariance_px2;
       track.warp = Eigen::Matrix2d::Identity();
     }
     if (const auto x = undistort_pixel(*frame.camera, track.pixel)) track.keyframe_px = *x;

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -25,6 +26,7 @@ struct FrontendCounts {
   int found = 0;              ///< by the bounded search
   int recovered = 0;          ///< by the wide search after it
   int epipolar_outliers = 0;  ///< found, but against the geometry of the others
+  int merged = 0;             ///< ended, since an older track follows the same feature
   int added = 0;              ///< new corners
 };
 
@@ -60,16 +62,26 @@ class Frontend {
     TrackId id;
     Eigen::Vector2d pixel;        ///< in the last frame where it was found
     Eigen::Vector2d velocity_px;  ///< last displacement between frames
+    bool found_before = false;    ///< there is a velocity
     Eigen::Vector2d keyframe_px;  ///< undistorted, in the last keyframe
     std::shared_ptr<const Anchor> anchor;
     Eigen::Vector2d anchor_px;
+    /// Of `pixel` and `anchor_px`, relative to the track's first place, which is right by
+    /// definition: the feature is what lies there.
+    Eigen::Matrix2d covariance_px2 = Eigen::Matrix2d::Zero();
+    Eigen::Matrix2d anchor_covariance_px2 = Eigen::Matrix2d::Zero();
     Eigen::Matrix2d warp = Eigen::Matrix2d::Identity();
   };
 
   Frontend(const FrontendOptions& options, bool stills, PyramidBuilder pyramids,
            CornerDetector corners, NccMatcher matcher);
 
-  [[nodiscard]] std::vector<SearchQuery> predict(const Frame& frame, const MotionState* motion);
+  /// Where the track is seen from a pose, if the backend knows its landmark.
+  [[nodiscard]] static std::optional<SearchQuery> predict(const Track& track, const Camera& camera,
+                                                          const MotionState& motion,
+                                                          const Pose& T_world_camera);
+  /// Looks for every track near its predicted place; score 0 where there is none above min_score.
+  [[nodiscard]] std::vector<SearchCandidate> search(const Frame& frame, const MotionState* motion);
   /// Looks for the tracks that were not found, around where their found neighbours went.
   void recover(const Camera& camera, const ImageSimilarity* similarity,
                std::vector<SearchCandidate>& found);
@@ -82,6 +94,8 @@ class Frontend {
   /// Re-searches what is missing with the affinity of the matched neighbours (stills).
   void guide(std::vector<SearchCandidate>& found);
   void reject_outliers(const Camera& camera, std::vector<SearchCandidate>& found);
+  /// Ends tracks that follow the same feature as an older one, and takes back their observations.
+  void merge(std::vector<TrackObservation>& observations);
   [[nodiscard]] bool keyframe_due(const Camera& camera) const;
   void make_keyframe(const Frame& frame);
   void reset();

@@ -85,10 +85,6 @@ void merge_peaks(std::vector<SearchCandidate>& peaks, double quality, double apa
   peaks = std::move(kept);
 }
 
-Eigen::Matrix2d peak_covariance_px2(const SearchCandidate& candidate) {
-  return candidate.sigma_px * candidate.sigma_px * Eigen::Matrix2d::Identity();
-}
-
 }  // namespace
 
 struct PairMatcher::Impl {
@@ -490,7 +486,10 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
   result.timings.emplace_back("native", watch.lap_ms());
   Disambiguation told = disambiguate(sets, loose, known.F);
   result.timings.emplace_back("disambiguate", watch.lap_ms());
-  if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
+  if (!told.F) {
+    result.disambiguation = std::move(told.report);
+    return refuse("the matches do not agree on an epipolar geometry");
+  }
 
   // What was not found is looked for along its epipolar line, and all is told apart again.
   const auto accepted = [&] {
@@ -513,15 +512,19 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
     }
     MatchSets more = impl.candidate_sets(
         reference, target, strips, {impl.options.refine_template_px, impl.options.min_score}, weak);
-    for (std::size_t k = 0; k < slots.size(); ++k)
-      sets.points[slots[k]] = std::move(more.points[k]);
+    for (std::size_t k = 0; k < slots.size(); ++k) {
+      MatchSets::Point& point = sets.points[slots[k]];
+      const Withdrawn before = point.last_withdrawn;
+      point = std::move(more.points[k]);
+      point.last_withdrawn = before;
+    }
   }
   result.timings.emplace_back("strips", watch.lap_ms());
   told = disambiguate(sets, loose, told.F,
                       impl.third_views(reference, queries, known.auxiliary, prior));
   result.timings.emplace_back("disambiguate again", watch.lap_ms());
-  if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
   result.disambiguation = std::move(told.report);
+  if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
   std::vector<std::optional<UnmatchedPoint>> unmatched(reference.points.size());
   for (std::size_t k = 0; k < unmatched.size(); ++k)
     unmatched[k] = UnmatchedPoint{k, NoMatch::no_candidate, {}};
@@ -530,12 +533,15 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
     UnmatchedPoint& entry = *unmatched[queries[i].point];
     for (const SearchCandidate& candidate : point.candidates)
       entry.candidates.push_back(candidate.pixel);
+    if (point.accepted) continue;  // the last measurement decides
     if (!point.candidates.empty())
       entry.reason = NoMatch::ambiguous;
+    else if (point.last_withdrawn == Withdrawn::topology)
+      entry.reason = NoMatch::topology;
+    else if (point.last_withdrawn != Withdrawn::nothing)
+      entry.reason = NoMatch::geometry;
     else if (weak[queries[i].point])
       entry.reason = NoMatch::weak_corner;
-    else
-      entry.reason = NoMatch::geometry;
   }
 
   // What was accepted is measured once more, with larger templates and the warps that the matches
@@ -572,11 +578,13 @@ PairMatches PairMatcher::match(const MatchView& reference, const MatchView& targ
     if (point.accepted) {
       const SearchCandidate& candidate = point.candidates[*point.accepted];
       result.matches.push_back({k, reference.points[k], candidate.pixel, candidate.score,
-                                peak_covariance_px2(candidate), last[i].warp});
+                                candidate.covariance_px2, last[i].warp});
       unmatched[k].reset();
-    } else {
+    } else if (point.last_withdrawn == Withdrawn::topology) {
+      unmatched[k]->reason = NoMatch::topology;
+    } else if (point.last_withdrawn != Withdrawn::nothing) {
       unmatched[k]->reason = NoMatch::geometry;
-    }
+    }  // else the larger template found nothing
   }
   for (auto& entry : unmatched)
     if (entry) result.unmatched.push_back(std::move(*entry));

@@ -22,8 +22,20 @@ struct SearchQuery {
 struct SearchCandidate {
   Eigen::Vector2d pixel = Eigen::Vector2d::Zero();
   float score = 0;
-  float sigma_px = 1;  ///< from the curvature of the correlation peak and its distance from 1
+  /// From the shape of the correlation peak, see peak_covariance_px2().
+  Eigen::Matrix2d covariance_px2 = Eigen::Matrix2d::Identity();
 };
+
+/// Covariance of a peak's position against the template [px^2 of its image]: (1 - C) / (2 |H|)
+/// along each of the axes of the peak's Hessian H, C the score, standard deviations within 0.1 and
+/// 4 px.
+///
+/// Least squares on a residual of independent noise, whose mean square is 2 (1 - C) where the
+/// signals have variance 1, give 2 (1 - C) / (N |H|) with N samples. What is left between two views
+/// is not independent: shape, resampling and light differ over whole parts of the template. The
+/// factor N / 4 stands for that; with it squared errors on rendered flights are about as large as
+/// they should be (tests/frontend/covariance_test.cpp).
+[[nodiscard]] Eigen::Matrix2d peak_covariance_px2(const NccPeak& peak);
 
 /// A peak found in a pyramid level, in units of the full resolution.
 [[nodiscard]] SearchCandidate to_candidate(const NccPeak& peak, int level);
@@ -33,7 +45,7 @@ struct SearchCandidate {
 struct SearchSchedule {
   int first_level = 2;
   int first_radius_px = 4;
-  int refine_radius_px = 2;
+  int refine_radius_px = 3;
 };
 
 /// NCC search of many features in one image (algorithms.md 3, "in a video stream").
@@ -61,7 +73,8 @@ class TrackSearch {
   };
   [[nodiscard]] std::vector<NccResult> match_level(const DevicePyramid& target,
                                                    std::span<const SearchQuery> queries,
-                                                   std::span<const LevelJob> jobs, int level);
+                                                   std::span<const LevelJob> jobs, int level,
+                                                   double peak_quality);
 
   NccMatcher& matcher_;
   int template_px_;

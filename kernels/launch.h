@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cstddef>
 
 #include "kernels/device.h"
 
@@ -35,11 +36,12 @@ inline void launch_rows(const Device& device, Lane lane, const cl::Kernel& kerne
 }
 
 /// `count` independent work-items that each have much to do: on a CPU one per work-group.
-/// Rounded up on a GPU: kernels check their bounds.
-inline void launch_items(const Device& device, Lane lane, const cl::Kernel& kernel, int count) {
+/// Rounded up on a GPU: kernels check their bounds. Global ids begin at `first`.
+inline void launch_items(const Device& device, Lane lane, const cl::Kernel& kernel, int count,
+                         std::size_t first = 0) {
   const int group = device.info().gpu ? 64 : 1;
   device.queue(lane).enqueueNDRangeKernel(
-      kernel, cl::NullRange,
+      kernel, cl::NDRange(first),
       cl::NDRange(static_cast<cl::size_type>(divide_up(count, group) * group)),
       cl::NDRange(static_cast<cl::size_type>(group)));
 }

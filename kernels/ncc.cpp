@@ -225,10 +225,8 @@ void NccMatcher::add_job(DeviceJob job) {
   jobs_.push_back(job);
 }
 
-NccMatcher::Kernels& NccMatcher::checked_kernels(const DeviceImage& reference,
-                                                 const DeviceImage& target,
+NccMatcher::Kernels& NccMatcher::checked_kernels(const DeviceImage& target,
                                                  const NccOptions& options, NccVariant variant) {
-  CORVID_CHECK(reference.format == target.format, "images to correlate have one pixel format");
   const auto ready = kernels(options, target.format, variant);
   if (!ready) {
     CORVID_CHECK(ready.error().code == ErrorCode::device, ready.error().to_string());
@@ -240,35 +238,56 @@ NccMatcher::Kernels& NccMatcher::checked_kernels(const DeviceImage& reference,
 std::vector<NccResult> NccMatcher::match(const DeviceImage& reference, const DeviceImage& target,
                                          std::span<const NccJob> jobs, const NccOptions& options,
                                          Lane lane) {
-  Kernels& kernels = checked_kernels(reference, target, options, variant_);
-  std::vector<NccResult> results(jobs.size());
+  const NccBatch batch{&reference, jobs};
+  return match(std::span(&batch, 1), target, options, lane);
+}
+
+std::vector<NccResult> NccMatcher::match(std::span<const NccBatch> batches,
+                                         const DeviceImage& target, const NccOptions& options,
+                                         Lane lane) {
+  for (const NccBatch& batch : batches)
+    CORVID_CHECK(batch.reference->format == target.format,
+                 "images to correlate have one pixel format");
+  Kernels& kernels = checked_kernels(target, options, variant_);
+  std::size_t count = 0;
+  for (const NccBatch& batch : batches) count += batch.jobs.size();
+  std::vector<NccResult> results(count);
   const PieceSize most = groups_ ? kGroupPiece : kCpuPiece;
   const std::size_t job_bytes =
       sizeof(DeviceJob) + sizeof(NccResult) + kernels.stored_floats * sizeof(float);
   const std::size_t piece_bytes = sizeof(Piece) + sizeof(Maxima);
 
-  std::vector<std::size_t> batch;  // indices into jobs
+  std::vector<std::size_t> slots;  // of the jobs in `results`
+  std::vector<Templates> templates;
   const auto flush = [&] {
-    if (batch.empty()) return;
-    run_batch(kernels, reference, target, options, nullptr, lane);
-    for (std::size_t i = 0; i < batch.size(); ++i) results[batch[i]] = results_[i];
-    batch.clear();
+    if (slots.empty()) return;
+    run_batch(kernels, templates, target, options, nullptr, lane);
+    for (std::size_t i = 0; i < slots.size(); ++i) results[slots[i]] = results_[i];
+    slots.clear();
+    templates.clear();
     jobs_.clear();
     piece_list_.clear();
   };
   jobs_.clear();
   piece_list_.clear();
-  for (std::size_t i = 0; i < jobs.size(); ++i) {
-    DeviceJob placed{};
-    if (!place(jobs[i], reference, target, kernels, placed)) continue;
-    const std::size_t new_pieces = static_cast<std::size_t>(divide_up(placed.width, most.width)) *
-                                   static_cast<std::size_t>(divide_up(placed.height, most.height));
-    if ((jobs_.size() + 1) * job_bytes + (piece_list_.size() + new_pieces) * piece_bytes >
-        options.memory_budget_bytes)
-      flush();
-    add_job(placed);
-    batch.push_back(i);
-  }
+  std::size_t slot = 0;
+  for (const NccBatch& batch : batches)
+    for (const NccJob& job : batch.jobs) {
+      const std::size_t mine = slot++;
+      DeviceJob placed{};
+      if (!place(job, *batch.reference, target, kernels, placed)) continue;
+      const std::size_t new_pieces =
+          static_cast<std::size_t>(divide_up(placed.width, most.width)) *
+          static_cast<std::size_t>(divide_up(placed.height, most.height));
+      if ((jobs_.size() + 1) * job_bytes + (piece_list_.size() + new_pieces) * piece_bytes >
+          options.memory_budget_bytes)
+        flush();
+      if (templates.empty() || templates.back().reference != batch.reference)
+        templates.push_back({batch.reference, jobs_.size(), jobs_.size()});
+      add_job(placed);
+      templates.back().end = jobs_.size();
+      slots.push_back(mine);
+    }
   flush();
   return results;
 }
@@ -358,7 +377,7 @@ void NccMatcher::launch(const cl::Kernel& kernel, int count, Lane lane) const {
                                             cl::NDRange(group));
 }
 
-void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
+void NccMatcher::run_batch(Kernels& kernels, std::span<const Templates> templates,
                            const DeviceImage& target, const NccOptions& options, Buffer<float>* map,
                            Lane lane) {
   const int count = static_cast<int>(jobs_.size()), pieces = static_cast<int>(piece_list_.size());
@@ -372,9 +391,12 @@ void NccMatcher::run_batch(Kernels& kernels, const DeviceImage& reference,
   device_results_.resize(jobs_.size());
   results_.resize(jobs_.size());
   on_device("correlation", [&] {
-    set_arguments(kernels.templates, reference.pixels, reference.width_px, reference.height_px,
-                  device_jobs_.cl(), count, templates_.cl());
-    launch_items(*device_, lane, kernels.templates, count);
+    for (const Templates& t : templates) {
+      set_arguments(kernels.templates, t.reference->pixels, t.reference->width_px,
+                    t.reference->height_px, device_jobs_.cl(), static_cast<cl_int>(t.end),
+                    templates_.cl());
+      launch_items(*device_, lane, kernels.templates, static_cast<int>(t.end - t.first), t.first);
+    }
     const auto arguments = [&](const auto&... scratch) {
       set_arguments(kernels.pieces, target.pixels, target.width_px, device_jobs_.cl(),
                     device_pieces_.cl(), pieces, templates_.cl(),

@@ -25,6 +25,12 @@ struct NccJob {
   std::int32_t radius_x_px = 0, radius_y_px = 0;  ///< candidates: centre +- radius, any size
 };
 
+/// Jobs whose templates are cut from one image.
+struct NccBatch {
+  const DeviceImage* reference = nullptr;
+  std::span<const NccJob> jobs;
+};
+
 /// A maximum of the correlation surface, refined to sub-pixel.
 struct NccPeak {
   float x_px = 0, y_px = 0;  ///< in the target image
@@ -114,6 +120,12 @@ class NccMatcher {
                                              std::span<const NccJob> jobs,
                                              const NccOptions& options, Lane lane = Lane::tracking);
 
+  /// Templates of several images in one go, which is faster than one call for each: as many results
+  /// as all batches have jobs, in order.
+  [[nodiscard]] std::vector<NccResult> match(std::span<const NccBatch> batches,
+                                             const DeviceImage& target, const NccOptions& options,
+                                             Lane lane = Lane::tracking);
+
   /// The coefficients themselves. `out` is used again; done on return. Throws as match().
   /// On a CPU a window of 128 x 128 candidates and more is scored in the way that was measured to
   /// be fastest for the template's size, kind of weights and format; the first such job on a device
@@ -130,6 +142,11 @@ class NccMatcher {
     std::int32_t x, y, width, height;  // candidates in the target, clipped
     std::int32_t flat;                 // bit 0: maxima along x only, bit 1: along y only
     std::int32_t first_piece, pieces;
+  };
+  // Jobs [first, end) of a run are cut from one image.
+  struct Templates {
+    const DeviceImage* reference;
+    std::size_t first, end;
   };
   struct Piece {
     std::int32_t job, x, y, width, height;
@@ -158,8 +175,8 @@ class NccMatcher {
                                   const DeviceImage& target, const Kernels& kernels,
                                   DeviceJob& out);
   Expected<Kernels*> kernels(const NccOptions& options, PixelFormat format, NccVariant variant);
-  Kernels& checked_kernels(const DeviceImage& reference, const DeviceImage& target,
-                           const NccOptions& options, NccVariant variant);
+  Kernels& checked_kernels(const DeviceImage& target, const NccOptions& options,
+                           NccVariant variant);
   void add_job(DeviceJob job);
   Denominators& denominators(const Kernels& kernels, const DeviceImage& target);
   void complete_denominators(Kernels& kernels, const DeviceImage& target, Denominators& kept,
@@ -168,7 +185,7 @@ class NccMatcher {
   [[nodiscard]] int box_columns() const { return groups_ ? 32 : 2 * lanes_; }
   [[nodiscard]] std::size_t scratch_floats() const;
   void launch(const cl::Kernel& kernel, int count, Lane lane) const;
-  void run_batch(Kernels& kernels, const DeviceImage& reference, const DeviceImage& target,
+  void run_batch(Kernels& kernels, std::span<const Templates> templates, const DeviceImage& target,
                  const NccOptions& options, Buffer<float>* map, Lane lane);
   // ncc_dense.cpp
   void score_as(NccVariant variant, const DeviceImage& reference, const DeviceImage& target,

@@ -71,8 +71,8 @@ void NccMatcher::score(const DeviceImage& reference, const DeviceImage& target, 
   out.x_px = out.y_px = out.width_px = out.height_px = 0;
   out.scores.resize(0);
   DeviceJob placed{};
-  if (!place(job, reference, target, checked_kernels(reference, target, options, variant_), placed))
-    return;
+  CORVID_CHECK(reference.format == target.format, "images to correlate have one pixel format");
+  if (!place(job, reference, target, checked_kernels(target, options, variant_), placed)) return;
   const bool dense = placed.width >= kDenseSide_px && placed.height >= kDenseSide_px;
   const NccVariant variant = variant_ == NccVariant::by_device && !groups_ && dense
                                  ? fastest_variant(options, target.format, lane)
@@ -83,7 +83,7 @@ void NccMatcher::score(const DeviceImage& reference, const DeviceImage& target, 
 void NccMatcher::score_as(NccVariant variant, const DeviceImage& reference,
                           const DeviceImage& target, const DeviceJob& job,
                           const NccOptions& options, NccScores& out, Lane lane) {
-  Kernels& kernels = checked_kernels(reference, target, options, variant);
+  Kernels& kernels = checked_kernels(target, options, variant);
   out.scores.resize(static_cast<std::size_t>(job.width) * static_cast<std::size_t>(job.height));
   out.x_px = job.x;
   out.y_px = job.y;
@@ -94,7 +94,9 @@ void NccMatcher::score_as(NccVariant variant, const DeviceImage& reference,
   add_job(job);
   if (variant == NccVariant::frequency)
     score_frequencies(kernels, reference, target, out.scores, lane);
-  if (!piece_list_.empty()) run_batch(kernels, reference, target, options, &out.scores, lane);
+  const Templates templates{&reference, 0, 1};
+  if (!piece_list_.empty())
+    run_batch(kernels, std::span(&templates, 1), target, options, &out.scores, lane);
 }
 
 // Scores the one job; what is left for the spatial way becomes the list of pieces.
@@ -171,9 +173,9 @@ NccVariant NccMatcher::fastest_variant(const NccOptions& options, PixelFormat fo
            job.template_x_px = job.window_x_px = job.radius_x_px = image->width_px / 2;
            job.template_y_px = job.window_y_px = job.radius_y_px = image->height_px / 2;
            DeviceJob placed{};
-           CORVID_CHECK(place(job, *image, *image,
-                              checked_kernels(*image, *image, options, variant), placed),
-                        "the sample image holds the template");
+           CORVID_CHECK(
+               place(job, *image, *image, checked_kernels(*image, options, variant), placed),
+               "the sample image holds the template");
            score_as(variant, *image, *image, placed, options, scores, lane);
          }});
   }

@@ -413,7 +413,7 @@ TEST(Backend, SurvivesBrokenObservations) {
   for (std::size_t i = 0; i < flight.frames.size(); i += 3) {
     for (std::size_t k = 0; k < flight.frames[i].observations.size(); k += 11) {
       flight.frames[i].observations[k].pixel = {nan, 1e12};
-      flight.frames[i].observations[k].sigma_px = -1;
+      flight.frames[i].observations[k].covariance_px2 *= -1;
     }
   }
   const Outcome r = run_backend(flight);

@@ -189,7 +189,7 @@ class Simulator {
       o.track = live.id;
       o.pixel = live.pixel + s_.noise_px * Eigen::Vector2d(normal(), normal());
       o.score = 0.95F;
-      o.sigma_px = static_cast<float>(std::max(0.05, s_.noise_px));
+      o.covariance_px2 *= std::pow(std::max(0.05, s_.noise_px), 2);
       tracks.observations.push_back(o);
     }
     tracks.frame = std::move(frame);

@@ -3,55 +3,27 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <cstdlib>
 #include <map>
 #include <numbers>
 
 #include "frontend/disambiguate/weak_corners.h"
-#include "replay/synthetic_flight.h"
+#include "frontend/frontend_scenes.h"
 
 namespace corvid {
 namespace {
 
-std::shared_ptr<Device> device() {
-  const char* choice = std::getenv("CORVID_TEST_DEVICE");
-  static const auto opened = Device::open(choice ? choice : "auto");
-  if (!opened) throw std::runtime_error(opened.error().to_string());
-  return *opened;
-}
-
-FlightOptions small_flight() {
-  FlightOptions options;
-  options.width_px = 480;
-  options.height_px = 320;
-  options.colour = false;
-  options.duration_s = 4;
-  return options;
-}
+using test::device;
+using test::small_flight;
 
 /// Distance between where features were found and where the rendered scene says that they are.
 struct TruthErrors {
   std::vector<double> px;
   void add(const SyntheticFlight& flight, const Pose& T_world_a, const FloatImage& depth_a,
            const Eigen::Vector2d& x_a, const Pose& T_world_b, const Eigen::Vector2d& x_b) {
-    const Camera& camera = flight.camera();
-    const int u = static_cast<int>(std::lround(x_a.x())),
-              v = static_cast<int>(std::lround(x_a.y()));
-    if (!depth_a.contains(u, v, 3)) return;
-    // A feature at a depth edge has two depths: no truth there.
-    const double z = depth_a(u, v);
-    for (int dy = -3; dy <= 3; ++dy)
-      for (int dx = -3; dx <= 3; ++dx)
-        if (std::abs(depth_a(u + dx, v + dy) - z) > 0.03 * z) return;
-    const auto ray = camera.unproject(x_a);
-    if (!ray || z <= 0) return;
-    const auto x = camera.project(T_world_b.inverse() * (T_world_a * (*ray * (z / ray->z()))));
+    const auto x = test::true_place(flight, T_world_a, depth_a, x_a, T_world_b);
     if (x) px.push_back((*x - x_b).norm());
   }
-  double quantile(double q) {
-    std::sort(px.begin(), px.end());
-    return px.at(static_cast<std::size_t>(q * static_cast<double>(px.size() - 1)));
-  }
+  [[nodiscard]] double quantile(double q) const { return test::quantile(px, q); }
 };
 
 TEST(WeakCorners, KnowWhereTheDetectorGivesScores) {

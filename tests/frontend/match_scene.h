@@ -67,7 +67,7 @@ inline MatchSets::Point match_point(const Eigen::Vector2d& x_r, const std::vecto
   MatchSets::Point point;
   point.x_r = x_r;
   for (const Found& f : found) {
-    point.candidates.push_back({f.x, f.score, 0.3F});
+    point.candidates.push_back({f.x, f.score, 0.09 * Eigen::Matrix2d::Identity()});
     point.x_t.push_back(f.x);
   }
   return point;
