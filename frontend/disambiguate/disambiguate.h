@@ -13,7 +13,7 @@
 
 namespace corvid {
 
-/// The modules of algorithms.md 4, in the order of the loop.
+/// The modules of algorithms.md 4.
 enum class DisambiguationModule {
   unique,       ///< points with one candidate enter U
   fundamental,  ///< RANSAC for F over U, outliers back to M
@@ -65,12 +65,19 @@ struct Disambiguation {
   DisambiguationReport report;
 };
 
-/// Tells the candidates apart (algorithms.md 4): runs the modules that the options switch on in
-/// a loop until nothing new is accepted, then epipolar transfer and a last pruning by F and
-/// topology. The loop ends because a point that is thrown back to M has lost its candidate.
+/// Tells the candidates apart (algorithms.md 4). Unique points and F first; then rounds, until one
+/// accepts nothing: highest scores, epipolar constraint, affine transfer; sectors, whose
+/// withdrawals the next round looks at, topology, F again. The rounds end because a point that is
+/// thrown back to M has lost its candidate. Then once: epipolar transfer, topology if it accepted
+/// anything, F.
 ///
-/// @param F  the geometry known so far; nothing: estimated from the unambiguous points.
-/// Deterministic.
+/// There is no geometry, and U is emptied without a candidate being withdrawn, if fewer than
+/// options.min_matches agree, or no more than chance gives (fundamental.h). Places that are not
+/// finite or beyond a million pixels are no candidates. Deterministic.
+///
+/// @param F  the geometry known so far: it begins, and chooses where nothing is unique; matches
+/// that
+///           agree on another one overrule it. Nothing: estimated from the unambiguous points.
 [[nodiscard]] Disambiguation disambiguate(MatchSets& sets, const DisambiguationOptions& options,
                                           const std::optional<Eigen::Matrix3d>& F = std::nullopt,
                                           std::span<const AuxiliaryView> auxiliary = {});
