@@ -144,6 +144,21 @@ TEST(Topology, AMatchThatJumpsAwayFromItsNeighboursIsWithdrawn) {
   EXPECT_EQ(sets.points[jump].last_withdrawn, Withdrawn::topology);
 }
 
+TEST(Topology, OneCommonNeighbourIsNotEnough) {
+  const MatchScene scene = make_scene(600, 12);
+  const auto rejected = [&](int max_common) {
+    MatchSets sets;
+    for (std::size_t i = 0; i < scene.x_r.size(); ++i)
+      sets.points.push_back(
+          matched(scene.x_r[i], scene.x_t[i] + (i % 10 ? 0.0 : 35.0) * Eigen::Vector2d(0.8, 0.6)));
+    return run_topology(sets, max_common).rejected;
+  };
+  EXPECT_GT(rejected(0), 0);
+  EXPECT_GT(rejected(1), rejected(0));
+  EXPECT_GT(rejected(2), rejected(1));
+  EXPECT_LT(rejected(1), 90) << "60 have jumped";
+}
+
 TEST(Topology, FewOrDegenerateMatchesAreNotJudged) {
   for (int count : {0, 1, 2, 3}) {
     MatchSets sets;
