@@ -13,6 +13,8 @@ namespace {
 
 constexpr std::size_t kMostNeighbours = 32;
 constexpr std::size_t kAgreementNeighbours = 8;
+constexpr double kRidge =
+    0.01;  // draws the linear part to the prior, share of the neighbours' reach
 
 struct Cloud {
   const std::vector<Eigen::Vector2d>* points;
@@ -27,6 +29,13 @@ struct Cloud {
 };
 using Tree =
     nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<double, Cloud>, Cloud, 2>;
+
+/// The middle one of the first n; they are not reordered.
+double middle_of(std::array<double, kMostNeighbours> values, std::size_t n) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(n / 2);
+  std::nth_element(values.begin(), middle, values.begin() + static_cast<std::ptrdiff_t>(n));
+  return *middle;
+}
 
 template <class Work>
 void in_parallel(std::size_t count, const Work& work) {
@@ -71,41 +80,42 @@ LocalMotion MotionField::at(const Eigen::Vector2d& x, std::size_t neighbours) co
 
   // Weighted least squares of to = x_t + A (from - x), A drawn to the prior.
   const double scale = std::max(squared[n / 2], 1.0);
-  std::array<double, kMostNeighbours> robust{}, misfit{};
-  robust.fill(1);
+  std::array<double, kMostNeighbours> misfit{};
+  std::array<Eigen::Vector2d, kMostNeighbours> rest;  // the prior's linear part taken off
+  for (std::size_t k = 0; k < n; ++k) rest[k] = to[id[k]] - prior_ * (from[id[k]] - x);
   LocalMotion motion;
   motion.distance_px = std::sqrt(squared[0]);
-  for (int round = 0; round < 3; ++round) {
+  // The first weights come from the median displacement, which a quarter of wrong neighbours does
+  // not move far.
+  motion.linear = prior_;
+  for (int axis = 0; axis < 2; ++axis) {
+    for (std::size_t k = 0; k < n; ++k) misfit[k] = rest[k][axis];
+    motion.x_t[axis] = middle_of(misfit, n);
+  }
+  for (int round = 0; round < 5; ++round) {
+    for (std::size_t k = 0; k < n; ++k)
+      misfit[k] = (to[id[k]] - motion.x_t - motion.linear * (from[id[k]] - x)).norm();
+    motion.spread_px = middle_of(misfit, n);
+    if (round == 4) break;
+    const double width = std::max(2 * motion.spread_px, 0.2);
     Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
     Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
     double weights = 0;
     for (std::size_t k = 0; k < n; ++k) {
-      const double w = robust[k] / (1 + squared[k] / scale);
+      const double ratio = misfit[k] / width;
+      const double w = 1 / ((1 + ratio * ratio) * (1 + squared[k] / scale));
       const Eigen::Vector2d offset = from[id[k]] - x;
       const Eigen::Vector3d row(1, offset.x(), offset.y());
-      // The prior is taken off and added again, so that a zero linear part is the prior.
-      const Eigen::Vector2d rest = to[id[k]] - prior_ * offset;
       normal.noalias() += w * row * row.transpose();
-      right.noalias() += w * row * rest.transpose();
+      right.noalias() += w * row * rest[k].transpose();
       weights += w;
     }
-    const double ridge = 0.05 * weights * scale;
+    const double ridge = kRidge * weights * scale;
     normal(1, 1) += ridge;
     normal(2, 2) += ridge;
     const Eigen::Matrix<double, 3, 2> solution = normal.ldlt().solve(right);
     motion.x_t = solution.row(0).transpose();
     motion.linear = prior_ + solution.bottomRows<2>().transpose();
-    for (std::size_t k = 0; k < n; ++k)
-      misfit[k] = (to[id[k]] - motion.x_t - motion.linear * (from[id[k]] - x)).norm();
-    auto sorted = misfit;
-    std::nth_element(sorted.begin(), sorted.begin() + static_cast<std::ptrdiff_t>(n / 2),
-                     sorted.begin() + static_cast<std::ptrdiff_t>(n));
-    motion.spread_px = sorted[n / 2];
-    const double width = std::max(2 * motion.spread_px, 0.2);
-    for (std::size_t k = 0; k < n; ++k) {
-      const double ratio = misfit[k] / width;
-      robust[k] = 1 / (1 + ratio * ratio);
-    }
   }
   return motion;
 }
