@@ -17,12 +17,13 @@ struct NoMatchKind {
   std::string_view key, words;
   Rgb8 colour;  ///< in the picture
 };
-inline constexpr std::array<NoMatchKind, 5> kNoMatchKinds{{
+inline constexpr std::array<NoMatchKind, 6> kNoMatchKinds{{
     {NoMatch::no_candidate, "no_candidate", "no candidate", {150, 156, 166}},
     {NoMatch::ambiguous, "ambiguous", "ambiguous", {255, 196, 0}},
     {NoMatch::geometry, "geometry", "against the epipolar geometry", {255, 64, 56}},
     {NoMatch::weak_corner, "weak_corner", "weak corner", {190, 110, 255}},
     {NoMatch::topology, "topology", "against its neighbours", {255, 130, 200}},
+    {NoMatch::low_score, "low_score", "lost in the last measurement", {110, 200, 255}},
 }};
 /// Points without a match by reason, in the order of kNoMatchKinds.
 [[nodiscard]] std::array<int, kNoMatchKinds.size()> count_reasons(const PairMatches& pair);

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "frontend/epipolar.h"
+
 namespace corvid {
 
 std::optional<std::pair<Eigen::Vector2d, Eigen::Vector2d>> clip_line(const Eigen::Vector3d& line,
@@ -11,10 +13,19 @@ std::optional<std::pair<Eigen::Vector2d, Eigen::Vector2d>> clip_line(const Eigen
   const double norm = line.head<2>().norm();
   if (!(norm > 1e-300) || !line.allFinite()) return std::nullopt;
   const Eigen::Vector2d normal = line.head<2>() / norm, direction(-normal.y(), normal.x());
-  const Eigen::Vector2d middle(0.5 * camera.width_px, 0.5 * camera.height_px);
+  // The undistorted image: a distorting lens sees beyond the pinhole's border.
+  Eigen::Vector2d least = Eigen::Vector2d::Zero(), most(camera.width_px - 1, camera.height_px - 1);
+  const Eigen::Vector2d middle = 0.5 * most;
+  for (double u : {0.0, 0.5, 1.0})
+    for (double v : {0.0, 0.5, 1.0})
+      if (const auto x =
+              undistort_pixel(camera, {u * (camera.width_px - 1), v * (camera.height_px - 1)})) {
+        least = least.cwiseMin(*x);
+        most = most.cwiseMax(*x);
+      }
+  least.array() -= border_px;
+  most.array() += border_px;
   const Eigen::Vector2d foot = middle - normal * (normal.dot(middle) + line.z() / norm);
-  const Eigen::Vector2d least = Eigen::Vector2d::Constant(-border_px),
-                        most(camera.width_px - 1 + border_px, camera.height_px - 1 + border_px);
   double low = -1e9, high = 1e9;  // along the line, from the foot
   for (int axis = 0; axis < 2; ++axis) {
     if (std::abs(direction[axis]) < 1e-12) {

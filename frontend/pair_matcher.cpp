@@ -5,7 +5,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <limits>
 #include <utility>
 
 #include "core/check.h"
@@ -32,7 +32,8 @@ constexpr double kSelectionSlack = 2.5;  // on tau_f, until the last measurement
 // Of the points that should be in view. True pairs: 0.3 and more; views of other parts of a scene
 // with the same kinds of texture: up to 0.05.
 constexpr double kMinShare = 0.08;
-constexpr double kPiecePx = 24;      // length of a strip's windows
+constexpr double kLeastRadiusPx = 4, kMostRadiusPx = 10;  // of a window, at its level
+constexpr double kPiecePx = 24;                           // length of a strip's windows
 constexpr double kMostDepthPx = 48;  // along the epipolar line, to either side of the prediction
 
 /// Where a template is looked for, and how it is warped (target offsets to reference offsets).
@@ -56,6 +57,12 @@ struct Matched {
     to.push_back(b);
   }
 };
+
+/// Whether a template may be warped so: no mirroring, no large change of area.
+bool usable(const Eigen::Matrix2d& linear) {
+  const double area = linear.determinant();
+  return area > 0.1 && area < 10;
+}
 
 /// Drops the matches whose neighbours moved otherwise, twice: the wrong ones spoil the first round.
 Matched keep_agreeing(Matched matched, const Eigen::Matrix2d& prior, double share,
@@ -105,20 +112,21 @@ struct PairMatcher::Impl {
                                     std::span<const Eigen::Vector2d> points,
                                     std::span<const Query> queries, int level);
   [[nodiscard]] Matched coarse(const MatchView& reference, const MatchView& target, int level,
-                               const PairKnowledge& known, const Eigen::Matrix2d& prior);
+                               const PairKnowledge& known, const Eigen::Matrix2d& prior,
+                               std::size_t& asked);
   [[nodiscard]] Matched turned(const MatchView& reference, const MatchView& target, int level,
                                Eigen::Matrix2d& prior);
   /// The part of a point's epipolar line where its neighbours' depths would put it.
   [[nodiscard]] static std::vector<SearchWindow> strip(const MatchView& reference,
                                                        const MatchView& target,
                                                        const MotionField& field,
+                                                       const LocalMotion& motion,
                                                        const Eigen::Matrix3d& F, std::size_t point);
   /// What disambiguate() needs to know of auxiliary images, for the points of the queries. The
   /// views refer to the arguments.
   [[nodiscard]] std::vector<AuxiliaryView> third_views(const MatchView& reference,
                                                        std::span<const Query> queries,
-                                                       std::span<const AuxiliaryMatches> auxiliary,
-                                                       const Eigen::Matrix2d& prior);
+                                                       std::span<const AuxiliaryMatches> auxiliary);
   /// AuxiliaryView::support.
   [[nodiscard]] std::vector<float> support(const MatchView& reference, const MatchView& auxiliary,
                                            std::span<const Query> queries, const MotionField& field,
@@ -246,11 +254,14 @@ Matched PairMatcher::Impl::unambiguous(const MatchView& reference, const MatchVi
 }
 
 Matched PairMatcher::Impl::coarse(const MatchView& reference, const MatchView& target, int level,
-                                  const PairKnowledge& known, const Eigen::Matrix2d& prior) {
+                                  const PairKnowledge& known, const Eigen::Matrix2d& prior,
+                                  std::size_t& asked) {
   const auto& all =
       level == 0 ? reference.points : reference.level_points[static_cast<std::size_t>(level - 1)];
-  const std::span<const Eigen::Vector2d> points(all.data(),
-                                                std::min<std::size_t>(all.size(), kCoarsePoints));
+  // Evenly from the list, whose first points are the strongest of their cells.
+  std::vector<Eigen::Vector2d> points;
+  asked = std::min<std::size_t>(all.size(), kCoarsePoints);
+  for (std::size_t i = 0; i < asked; ++i) points.push_back(all[i * all.size() / asked]);
   const Camera& camera = target.camera;
   const double px = std::ldexp(1.0, level);  // of the level
   const Eigen::Vector2d middle(0.5 * camera.width_px, 0.5 * camera.height_px);
@@ -288,10 +299,10 @@ Matched PairMatcher::Impl::turned(const MatchView& reference, const MatchView& t
 std::vector<SearchWindow> PairMatcher::Impl::strip(const MatchView& reference,
                                                    const MatchView& target,
                                                    const MotionField& field,
+                                                   const LocalMotion& motion,
                                                    const Eigen::Matrix3d& F, std::size_t point) {
   const auto x_r = undistort_pixel(reference.camera, reference.points[point]);
   if (!x_r) return {};
-  const LocalMotion motion = field.at(reference.points[point]);
   const auto predicted = undistort_pixel(target.camera, motion.x_t);
   const Eigen::Vector3d line = F * x_r->homogeneous();
   const double norm = line.head<2>().norm();
@@ -354,7 +365,7 @@ MatchSets PairMatcher::Impl::candidate_sets(const MatchView& reference, const Ma
 
 std::vector<AuxiliaryView> PairMatcher::Impl::third_views(
     const MatchView& reference, std::span<const Query> queries,
-    std::span<const AuxiliaryMatches> auxiliary, const Eigen::Matrix2d& prior) {
+    std::span<const AuxiliaryMatches> auxiliary) {
   std::vector<AuxiliaryView> views;
   for (const AuxiliaryMatches& third : auxiliary) {
     CORVID_CHECK(third.view && third.x_a.size() == reference.points.size(),
@@ -369,7 +380,8 @@ std::vector<AuxiliaryView> PairMatcher::Impl::third_views(
       if (x_a) matched.add(reference.points[query.point], *x_a);
     }
     if (!matched.from.empty()) {
-      auto field = std::make_shared<const MotionField>(matched.from, matched.to, prior);
+      auto field = std::make_shared<const MotionField>(matched.from, matched.to,
+                                                       Eigen::Matrix2d::Identity());
       view.support = [this, &reference, &third, queries,
                       field](std::span<const AuxiliaryView::Probe> probes) {
         return support(reference, *third.view, queries, *field, probes);
@@ -385,21 +397,44 @@ std::vector<float> PairMatcher::Impl::support(const MatchView& reference,
                                               std::span<const Query> queries,
                                               const MotionField& field,
                                               std::span<const AuxiliaryView::Probe> probes) {
+  std::vector<Eigen::Vector2d> places;
+  for (const AuxiliaryView::Probe& probe : probes)
+    places.push_back(reference.points[queries[probe.point].point]);
+  const auto motions = field.at(places);
+  const auto distorted = [&](const Eigen::Vector2d& x) {
+    const Camera& camera = auxiliary.camera;
+    return camera.project(Eigen::Vector3d((x.x() - camera.cx_px) / camera.fx_px,
+                                          (x.y() - camera.cy_px) / camera.fy_px, 1));
+  };
+  // The window of thesis 4.4.11 has 31 x 7 candidates along the line, and must lie in the image.
+  constexpr double kAlongPx = 15, kAcrossPx = 3;
+  const double border_px = options.template_px / 2 + kAlongPx;
   std::vector<Query> asked;
-  for (const AuxiliaryView::Probe& probe : probes) {
-    const std::size_t point = queries[probe.point].point;
-    const LocalMotion motion = field.at(reference.points[point]);
-    Query query{point, {}, Eigen::Matrix2d::Identity()};
-    if (std::abs(motion.linear.determinant()) > 0.1) query.warp = motion.linear.inverse();
-    const Eigen::Vector2d reach = 15 * probe.line_direction;  // 31 x 7 (thesis 4.4.11)
-    query.windows =
-        strip_windows(auxiliary.camera, probe.place - reach, probe.place + reach, 3, 31);
+  for (std::size_t i = 0; i < probes.size(); ++i) {
+    Query query{queries[probes[i].point].point, {}, Eigen::Matrix2d::Identity()};
+    const auto pixel = distorted(probes[i].place);
+    if (usable(motions[i].linear) && pixel && auxiliary.camera.in_image(*pixel, border_px)) {
+      const Eigen::Vector2d reach = kAlongPx * probes[i].line_direction;
+      query.windows = strip_windows(auxiliary.camera, probes[i].place - reach,
+                                    probes[i].place + reach, kAcrossPx, 8);
+      query.warp = motions[i].linear.inverse();
+    }
     asked.push_back(std::move(query));
   }
   const auto candidates = search(reference, auxiliary, reference.points, asked, 0,
                                  {options.template_px, options.min_score});
-  std::vector<float> scores;
-  for (const auto& list : candidates) scores.push_back(list.empty() ? -1.0F : list[0].score);
+  std::vector<float> scores(probes.size(), std::numeric_limits<float>::quiet_NaN());
+  for (std::size_t i = 0; i < probes.size(); ++i) {
+    if (asked[i].windows.empty()) continue;
+    scores[i] = -1;
+    const Eigen::Vector2d along = probes[i].line_direction, across(-along.y(), along.x());
+    for (const SearchCandidate& candidate : candidates[i]) {
+      const auto x = undistort_pixel(auxiliary.camera, candidate.pixel);
+      if (!x || std::abs(across.dot(*x - probes[i].place)) > kAcrossPx) continue;
+      scores[i] = candidate.score;
+      break;
+    }
+  }
   return scores;
 }
 
@@ -413,182 +448,244 @@ AuxiliaryMatches auxiliary_matches(const MatchView& reference, const MatchView& 
   return third;
 }
 
-PairMatches PairMatcher::match(const MatchView& reference, const MatchView& target,
-                               const PairKnowledge& known) {
-  Impl& impl = *impl_;
-  const DisambiguationOptions& rules = impl.options.disambiguation;
-  PairMatches result;
-  Stopwatch watch;
-  const auto refuse = [&](std::string why) {
-    result.refusal = std::move(why);
-    for (std::size_t i = 0; i < reference.points.size(); ++i)
-      result.unmatched.push_back({i, NoMatch::no_candidate, {}});
-    return result;
-  };
-  if (reference.points.size() < static_cast<std::size_t>(rules.min_matches))
-    return refuse(fmt::format("the reference has {} interest points, fewer than {}",
-                              reference.points.size(), rules.min_matches));
-  const int coarse_level =
-      std::min(static_cast<int>(reference.level_points.size()), target.pyramid->levels() - 1);
+/// Matching one pair, step by step. A step that returns words has found that there is no geometry.
+class PairMatcher::Run {
+ public:
+  Run(Impl& impl, const MatchView& reference, const MatchView& target, const PairKnowledge& known)
+      : impl_(impl),
+        reference_(reference),
+        target_(target),
+        known_(known),
+        coarse_level_(std::min(static_cast<int>(reference.level_points.size()),
+                               target.pyramid->levels() - 1)),
+        weak_(reference.points.size(), false),
+        reasons_(reference.points.size(), NoMatch::no_candidate),
+        candidates_(reference.points.size()) {}
 
-  // From nothing: the whole coarse target, as it stands; if that gives little, turned and scaled.
-  Eigen::Matrix2d prior = Eigen::Matrix2d::Identity();
-  Matched matched = impl.coarse(reference, target, coarse_level, known, prior);
-  result.timings.emplace_back("coarse", watch.lap_ms());
-  if (matched.from.size() < kCoarsePoints / 8) {
-    Eigen::Matrix2d turn = prior;
-    Matched other = impl.turned(reference, target, coarse_level, turn);
-    if (other.from.size() > 2 * matched.from.size()) {
-      matched = std::move(other);
-      prior = turn;
+  [[nodiscard]] PairMatches match() {
+    auto refusal = seed();
+    if (!refusal) descend();
+    if (!refusal) refusal = select();
+    if (!refusal) refusal = measure();
+    if (refusal) {
+      result_.refusal = std::move(*refusal);
+      result_.matches.clear();
+      result_.F.reset();
     }
-    result.timings.emplace_back("turned", watch.lap_ms());
+    std::vector<bool> matched(reference_.points.size(), false);
+    for (const PairMatch& match : result_.matches) matched[match.point] = true;
+    for (std::size_t k = 0; k < matched.size(); ++k)
+      if (!matched[k]) result_.unmatched.push_back({k, reasons_[k], std::move(candidates_[k])});
+    return std::move(result_);
   }
-  if (matched.from.size() < kMinSeeds)
-    return refuse(fmt::format("only {} features of the coarse images agree", matched.from.size()));
 
-  // Down the pyramid, led by the neighbours.
-  const DeviceImage& image = target.pyramid->level(0);
-  const auto guided = [&](std::span<const Eigen::Vector2d> points, int level, double least_px) {
-    const MotionField field(matched.from, matched.to, prior);
-    const auto motions = field.at(points);
-    std::vector<Query> queries;
-    for (std::size_t i = 0; i < points.size(); ++i) {
-      const LocalMotion& motion = motions[i];
-      const double area = motion.linear.determinant();
-      if (!(area > 0.1) || !(area < 10)) continue;
-      if (!(motion.x_t.x() > 0) || !(motion.x_t.y() > 0) || !(motion.x_t.x() < image.width_px) ||
-          !(motion.x_t.y() < image.height_px))
-        continue;
-      const double radius_px =
-          std::ldexp(std::clamp(3 * std::ldexp(motion.spread_px, -level), least_px, 10.0), level);
-      queries.push_back({i, {{motion.x_t, radius_px, radius_px}}, motion.linear.inverse()});
+ private:
+  using Refusal = std::optional<std::string>;
+  static constexpr const char* kNoGeometry = "the matches do not agree on an epipolar geometry";
+
+  /// From nothing: the whole coarse target, as it stands; if that gives little, turned and scaled.
+  Refusal seed() {
+    const auto& points = reference_.points;
+    const int least = impl_.options.disambiguation.min_matches;
+    if (points.size() < static_cast<std::size_t>(least))
+      return fmt::format("the reference has {} interest points, fewer than {}", points.size(),
+                         least);
+    std::size_t asked = 0;
+    matched_ = impl_.coarse(reference_, target_, coarse_level_, known_, prior_, asked);
+    lap("coarse");
+    if (matched_.from.size() < asked / 8) {
+      Eigen::Matrix2d turn = prior_;
+      Matched other = impl_.turned(reference_, target_, coarse_level_, turn);
+      if (other.from.size() > 2 * matched_.from.size()) {
+        matched_ = std::move(other);
+        prior_ = turn;
+      }
+      lap("turned");
     }
-    return queries;
-  };
-  for (int level = coarse_level; level >= 1; --level) {
-    const auto& points = reference.level_points[static_cast<std::size_t>(level - 1)];
-    const auto queries = guided(points, level, 4);
-    Matched next = keep_agreeing(impl.unambiguous(reference, target, points, queries, level), prior,
-                                 0.25, std::ldexp(1.5, level));
-    if (next.from.size() >= kMinSeeds) matched = std::move(next);
-    result.timings.emplace_back(fmt::format("level {}", level), watch.lap_ms());
+    if (matched_.from.size() < kMinSeeds)
+      return fmt::format("only {} features of the coarse images agree", matched_.from.size());
+    return std::nullopt;
   }
 
-  // Full resolution: small windows first, which give the geometry. Small templates are less exact
-  // than the last measurement, after which tau_f holds as it is.
-  DisambiguationOptions loose = rules;
-  loose.max_epipolar_px *= kSelectionSlack;
-  std::vector<bool> weak(reference.points.size(), false);
-  const Measure first{impl.options.template_px, impl.options.min_score};
-  auto queries = guided(reference.points, 0, 4);
-  MatchSets sets = impl.candidate_sets(reference, target, queries, first, weak);
-  result.timings.emplace_back("native", watch.lap_ms());
-  Disambiguation told = disambiguate(sets, loose, known.F);
-  result.timings.emplace_back("disambiguate", watch.lap_ms());
-  if (!told.F) {
-    result.disambiguation = std::move(told.report);
-    return refuse("the matches do not agree on an epipolar geometry");
+  /// Down the pyramid, led by the neighbours.
+  void descend() {
+    for (int level = coarse_level_; level >= 1; --level) {
+      const auto& points = reference_.level_points[static_cast<std::size_t>(level - 1)];
+      const auto queries = guided(points, level);
+      Matched next = keep_agreeing(impl_.unambiguous(reference_, target_, points, queries, level),
+                                   prior_, 0.25, std::ldexp(1.5, level));
+      if (next.from.size() >= kMinSeeds) matched_ = std::move(next);
+      lap(fmt::format("level {}", level));
+    }
   }
 
-  // What was not found is looked for along its epipolar line, and all is told apart again.
-  const auto accepted = [&] {
-    Matched found;
-    for (std::size_t i = 0; i < queries.size(); ++i)
-      if (const auto& point = sets.points[i]; point.accepted)
-        found.add(reference.points[queries[i].point], point.candidates[*point.accepted].pixel);
-    return found;
-  };
-  matched = accepted();
-  {
-    const MotionField field(matched.from, matched.to, prior);
+  /// Full resolution: small windows, which give the geometry; then what was not found is looked
+  /// for along its epipolar line, and all is told apart again. Small templates are less exact than
+  /// the last measurement, after which tau_f holds as it is.
+  Refusal select() {
+    DisambiguationOptions loose = impl_.options.disambiguation;
+    loose.max_epipolar_px *= kSelectionSlack;
+    const Measure small{impl_.options.template_px, impl_.options.min_score};
+    queries_ = guided(reference_.points, 0);
+    sets_ = impl_.candidate_sets(reference_, target_, queries_, small, weak_);
+    lap("native");
+    bool told = tell_apart(loose, known_.F);
+    lap("disambiguate");
+    note_reasons();
+    if (!told) return kNoGeometry;
+
+    matched_ = accepted();
+    const MotionField field(matched_.from, matched_.to, prior_);
+    const Measure large{impl_.options.refine_template_px, impl_.options.min_score};
     std::vector<Query> strips;
     std::vector<std::size_t> slots;
-    for (std::size_t i = 0; i < queries.size(); ++i) {
-      if (sets.points[i].accepted) continue;
-      queries[i].windows = impl.strip(reference, target, field, *told.F, queries[i].point);
-      strips.push_back(queries[i]);
-      slots.push_back(i);
-    }
-    MatchSets more = impl.candidate_sets(
-        reference, target, strips, {impl.options.refine_template_px, impl.options.min_score}, weak);
+    for (std::size_t i = 0; i < queries_.size(); ++i)
+      if (!sets_.points[i].accepted) slots.push_back(i);
+    std::vector<Eigen::Vector2d> places;
+    for (std::size_t i : slots) places.push_back(reference_.points[queries_[i].point]);
+    const auto motions = field.at(places);
     for (std::size_t k = 0; k < slots.size(); ++k) {
-      MatchSets::Point& point = sets.points[slots[k]];
+      Query& query = queries_[slots[k]];
+      query.windows = impl_.strip(reference_, target_, field, motions[k], *result_.F, query.point);
+      strips.push_back(query);
+    }
+    MatchSets more = impl_.candidate_sets(reference_, target_, strips, large, weak_);
+    for (std::size_t k = 0; k < slots.size(); ++k) {
+      MatchSets::Point& point = sets_.points[slots[k]];
       const Withdrawn before = point.last_withdrawn;
       point = std::move(more.points[k]);
       point.last_withdrawn = before;
     }
-  }
-  result.timings.emplace_back("strips", watch.lap_ms());
-  told = disambiguate(sets, loose, told.F,
-                      impl.third_views(reference, queries, known.auxiliary, prior));
-  result.timings.emplace_back("disambiguate again", watch.lap_ms());
-  result.disambiguation = std::move(told.report);
-  if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
-  std::vector<std::optional<UnmatchedPoint>> unmatched(reference.points.size());
-  for (std::size_t k = 0; k < unmatched.size(); ++k)
-    unmatched[k] = UnmatchedPoint{k, NoMatch::no_candidate, {}};
-  for (std::size_t i = 0; i < queries.size(); ++i) {
-    const MatchSets::Point& point = sets.points[i];
-    UnmatchedPoint& entry = *unmatched[queries[i].point];
-    for (const SearchCandidate& candidate : point.candidates)
-      entry.candidates.push_back(candidate.pixel);
-    if (point.accepted) continue;  // the last measurement decides
-    if (!point.candidates.empty())
-      entry.reason = NoMatch::ambiguous;
-    else if (point.last_withdrawn == Withdrawn::topology)
-      entry.reason = NoMatch::topology;
-    else if (point.last_withdrawn != Withdrawn::nothing)
-      entry.reason = NoMatch::geometry;
-    else if (weak[queries[i].point])
-      entry.reason = NoMatch::weak_corner;
+    lap("strips");
+    told = tell_apart(loose, result_.F, impl_.third_views(reference_, queries_, known_.auxiliary));
+    lap("disambiguate again");
+    note_reasons();
+    return told ? Refusal() : kNoGeometry;
   }
 
-  // What was accepted is measured once more, with larger templates and the warps that the matches
-  // give now: as accurate as it gets.
-  matched = accepted();
-  if (matched.from.empty()) return refuse("no match stood the disambiguation");
-  const MotionField field(matched.from, matched.to, prior);
-  std::vector<Query> last;
-  for (std::size_t i = 0; i < queries.size(); ++i) {
-    const MatchSets::Point& point = sets.points[i];
-    if (!point.accepted) continue;
-    const std::size_t k = queries[i].point;
-    const LocalMotion motion = field.at(reference.points[k]);
-    if (!(motion.linear.determinant() > 0.1) || !(motion.linear.determinant() < 10)) continue;
-    last.push_back({k, {{point.candidates[*point.accepted].pixel, 2, 2}}, motion.linear.inverse()});
+  /// What was accepted is measured once more, with larger templates and the warps that the matches
+  /// give now: as accurate as it gets.
+  Refusal measure() {
+    const std::size_t in_view = queries_.size();
+    matched_ = accepted();
+    if (matched_.from.empty()) return "no match stood the disambiguation";
+    const MotionField field(matched_.from, matched_.to, prior_);
+    const auto motions = field.at(matched_.from);
+    std::vector<Query> last;
+    std::size_t next = 0;
+    for (std::size_t i = 0; i < queries_.size(); ++i) {
+      if (!sets_.points[i].accepted) continue;
+      const LocalMotion& motion = motions[next];
+      const Eigen::Vector2d& place = matched_.to[next++];
+      reasons_[queries_[i].point] = NoMatch::low_score;  // unless it is found
+      if (usable(motion.linear))
+        last.push_back({queries_[i].point, {{place, 2, 2}}, motion.linear.inverse()});
+    }
+    queries_ = std::move(last);
+    sets_ = impl_.candidate_sets(
+        reference_, target_, queries_,
+        {impl_.options.refine_template_px, impl_.options.refine_min_score, true}, weak_);
+    lap("refine");
+    const bool told = tell_apart(impl_.options.disambiguation, result_.F);
+    lap("check");
+    if (!told) return kNoGeometry;
+    for (std::size_t i = 0; i < queries_.size(); ++i) {
+      const MatchSets::Point& point = sets_.points[i];
+      const std::size_t k = queries_[i].point;
+      if (point.accepted) {
+        const SearchCandidate& candidate = point.candidates[*point.accepted];
+        result_.matches.push_back({k, reference_.points[k], candidate.pixel, candidate.score,
+                                   candidate.covariance_px2, queries_[i].warp});
+      } else if (point.last_withdrawn != Withdrawn::nothing) {
+        reasons_[k] = reason_of(point.last_withdrawn);
+      }
+    }
+    if (static_cast<double>(result_.matches.size()) < kMinShare * static_cast<double>(in_view))
+      return fmt::format("only {} of {} points that should be in view were found",
+                         result_.matches.size(), in_view);
+    return std::nullopt;
   }
-  sets = impl.candidate_sets(reference, target, last,
-                             {impl.options.refine_template_px, impl.options.refine_min_score, true},
-                             weak);
-  result.timings.emplace_back("refine", watch.lap_ms());
-  told = disambiguate(sets, rules, told.F);
-  result.timings.emplace_back("check", watch.lap_ms());
-  if (!told.F) return refuse("the matches do not agree on an epipolar geometry");
-  const auto agreeing = static_cast<std::size_t>(
-      std::count_if(sets.points.begin(), sets.points.end(),
-                    [](const auto& point) { return point.accepted.has_value(); }));
-  if (static_cast<double>(agreeing) < kMinShare * static_cast<double>(queries.size()))
-    return refuse(fmt::format("only {} of {} points that should be in view were found", agreeing,
-                              queries.size()));
-  result.F = told.F;
-  for (std::size_t i = 0; i < last.size(); ++i) {
-    const MatchSets::Point& point = sets.points[i];
-    const std::size_t k = last[i].point;
-    if (point.accepted) {
-      const SearchCandidate& candidate = point.candidates[*point.accepted];
-      result.matches.push_back({k, reference.points[k], candidate.pixel, candidate.score,
-                                candidate.covariance_px2, last[i].warp});
-      unmatched[k].reset();
-    } else if (point.last_withdrawn == Withdrawn::topology) {
-      unmatched[k]->reason = NoMatch::topology;
-    } else if (point.last_withdrawn != Withdrawn::nothing) {
-      unmatched[k]->reason = NoMatch::geometry;
-    }  // else the larger template found nothing
+
+  /// Windows around where the neighbours went, of the points whose place is in the target.
+  [[nodiscard]] std::vector<Query> guided(std::span<const Eigen::Vector2d> points,
+                                          int level) const {
+    const MotionField field(matched_.from, matched_.to, prior_);
+    const auto motions = field.at(points);
+    std::vector<Query> queries;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      const LocalMotion& motion = motions[i];
+      if (!usable(motion.linear) || !target_.camera.in_image(motion.x_t)) continue;
+      const double radius_px = std::ldexp(
+          std::clamp(3 * std::ldexp(motion.spread_px, -level), kLeastRadiusPx, kMostRadiusPx),
+          level);
+      queries.push_back({i, {{motion.x_t, radius_px, radius_px}}, motion.linear.inverse()});
+    }
+    return queries;
   }
-  for (auto& entry : unmatched)
-    if (entry) result.unmatched.push_back(std::move(*entry));
-  return result;
+
+  /// disambiguate() on the sets; its counts are added to the others'. Whether there is an F.
+  bool tell_apart(const DisambiguationOptions& rules, const std::optional<Eigen::Matrix3d>& F,
+                  std::span<const AuxiliaryView> third = {}) {
+    Disambiguation told = disambiguate(sets_, rules, F, third);
+    DisambiguationReport& report = result_.disambiguation;
+    for (ModuleRun& run : told.report.runs) {
+      run.round += report.rounds;
+      report.runs.push_back(run);
+    }
+    report.rounds += told.report.rounds;
+    result_.F = told.F;
+    return told.F.has_value();
+  }
+
+  [[nodiscard]] Matched accepted() const {
+    Matched found;
+    for (std::size_t i = 0; i < queries_.size(); ++i)
+      if (const auto& point = sets_.points[i]; point.accepted)
+        found.add(reference_.points[queries_[i].point], point.candidates[*point.accepted].pixel);
+    return found;
+  }
+
+  [[nodiscard]] static NoMatch reason_of(Withdrawn withdrawn) {
+    return withdrawn == Withdrawn::topology ? NoMatch::topology : NoMatch::geometry;
+  }
+
+  void note_reasons() {
+    for (std::size_t i = 0; i < queries_.size(); ++i) {
+      const MatchSets::Point& point = sets_.points[i];
+      const std::size_t k = queries_[i].point;
+      candidates_[k].clear();
+      for (const SearchCandidate& candidate : point.candidates)
+        candidates_[k].push_back(candidate.pixel);
+      if (!point.candidates.empty())
+        reasons_[k] = NoMatch::ambiguous;
+      else if (point.last_withdrawn != Withdrawn::nothing)
+        reasons_[k] = reason_of(point.last_withdrawn);
+      else
+        reasons_[k] = weak_[k] ? NoMatch::weak_corner : NoMatch::no_candidate;
+    }
+  }
+
+  void lap(std::string step) { result_.timings.emplace_back(std::move(step), watch_.lap_ms()); }
+
+  Impl& impl_;
+  const MatchView& reference_;
+  const MatchView& target_;
+  const PairKnowledge& known_;
+  const int coarse_level_;
+  Eigen::Matrix2d prior_ = Eigen::Matrix2d::Identity();
+  Matched matched_;             ///< what leads the next step
+  std::vector<Query> queries_;  ///< of the full resolution
+  MatchSets sets_;              ///< one point per query
+  std::vector<bool> weak_;
+  std::vector<NoMatch> reasons_;
+  std::vector<std::vector<Eigen::Vector2d>> candidates_;
+  PairMatches result_;
+  Stopwatch watch_;
+};
+
+PairMatches PairMatcher::match(const MatchView& reference, const MatchView& target,
+                               const PairKnowledge& known) {
+  return Run(*impl_, reference, target, known).match();
 }
 
 }  // namespace corvid

@@ -47,11 +47,12 @@ enum class NoMatch {
   geometry,      ///< against the epipolar geometry
   weak_corner,   ///< only candidates in flat image parts
   topology,      ///< against its neighbours
+  low_score,     ///< was accepted, but the last measurement's larger template did not find it
 };
 struct UnmatchedPoint {
   std::size_t point = 0;
   NoMatch reason = NoMatch::no_candidate;
-  std::vector<Eigen::Vector2d> candidates;  ///< those that were left, or the one refused [px]
+  std::vector<Eigen::Vector2d> candidates;  ///< those that were left [px]
 };
 
 /// What matching two images gave.
@@ -61,9 +62,11 @@ struct PairMatches {
   /// x_t^T F x_r = 0 on undistorted pixels (undistort_pixel()); nothing if the images do not show
   /// the same scene as far as can be told, and then there are no matches.
   std::optional<Eigen::Matrix3d> F;
-  std::string refusal;                  ///< why there is no geometry, for the user; else empty
-  DisambiguationReport disambiguation;  ///< modules' counts at full resolution
-  Timings timings;                      ///< [ms] by step
+  std::string refusal;  ///< why there is no geometry, for the user; else empty
+  /// Modules' counts at full resolution: of the small windows, of the strips along epipolar lines,
+  /// and of the last measurement, in that order; rounds are counted through.
+  DisambiguationReport disambiguation;
+  Timings timings;  ///< [ms] by step
 };
 
 /// A third image to which the reference was matched before.
@@ -107,6 +110,7 @@ class PairMatcher {
 
  private:
   struct Impl;
+  class Run;
   explicit PairMatcher(std::unique_ptr<Impl> impl);
   std::unique_ptr<Impl> impl_;
 };

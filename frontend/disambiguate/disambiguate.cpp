@@ -158,6 +158,10 @@ Disambiguation disambiguate(MatchSets& sets, const DisambiguationOptions& option
   if (accepted > 0) topology();
   fit();
 
+  // A given F that U could not be fitted to: nothing that is against it goes out.
+  if (now && !proven)
+    run(true, DisambiguationModule::fundamental,
+        [&] { return reject_epipolar_outliers(sets, *now, options.max_epipolar_px); });
   if (now && !proven && !beyond_choice(sets, candidates, *now, options)) now.reset();
   if (!now)
     for (MatchSets::Point& point : sets.points) point.accepted.reset();

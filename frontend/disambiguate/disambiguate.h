@@ -36,7 +36,8 @@ struct AuxiliaryView {
   std::optional<Eigen::Matrix3d> F_auxiliary_target;
   /// The NCC peak of the reference point's template near a place in this image (both
   /// undistorted px): a batch of (point, place) to scores, < 0 where there is no peak within the
-  /// window of algorithms.md 4.8. Empty: the epipolar transfer module does not use this view.
+  /// window of algorithms.md 4.8, NaN where that cannot be seen: outside of the image, say. Empty:
+  /// the epipolar transfer module does not use this view.
   struct Probe {
     std::size_t point = 0;
     Eigen::Vector2d place;

@@ -87,12 +87,15 @@ ModuleCounts accept_epipolar_transfer(MatchSets& sets, const Eigen::Matrix3d& F,
     for (const SearchCandidate& candidate : point.candidates)
       best = std::max(best, candidate.score);
     for (; end < probes.size() && probes[end].point == probes[first].point; ++end)
-      best = std::max(best, scores[end]);
+      if (!std::isnan(scores[end])) best = std::max(best, scores[end]);
+    bool all_seen = true;
     std::vector<std::size_t> supported;
-    for (std::size_t k = first; k < end; ++k)
+    for (std::size_t k = first; k < end; ++k) {
+      all_seen = all_seen && !std::isnan(scores[k]);
       if (scores[k] > 0 && static_cast<double>(scores[k]) >= kQuality * static_cast<double>(best))
         supported.push_back(candidate_of[k]);
-    if (supported.size() == 1) {
+    }
+    if (all_seen && supported.size() == 1) {
       point.accepted = supported.front();
       ++counts.accepted;
     }
