@@ -6,11 +6,11 @@
 #include <vector>
 
 #include "apps/command_list.h"
-#include "apps/evaluation.h"
 #include "apps/opencl_trouble.h"
 #include "apps/program_source.h"
 #include "apps/signal_guard.h"
 #include "bench/tracking_bench.h"
+#include "core/associate.h"
 #include "io/atomic_file.h"
 
 namespace corvid {

@@ -43,11 +43,7 @@ std::optional<double> TrackAge::share_alive_visible() const {
 }
 
 void print(const TrackingReport& report, std::ostream& out) {
-  const BenchMachine& m = report.machine;
-  out << fmt::format("machine   {}, {} cores", m.processor, m.cores);
-  if (m.load_average >= 0) out << fmt::format(", load average {:.1f} at the start", m.load_average);
-  out << fmt::format("\ndevice    {}, {}, {} units, driver {}\n", m.device, m.gpu ? "GPU" : "CPU",
-                     m.compute_units, m.driver);
+  print_machine(report.machine, out);
   for (const TrackingRow& row : report.rows) {
     out << fmt::format("\n{}\n{} frames of {}x{}, {} keyframes; {:.0f} tracks in a frame (of {})\n",
                        row.set, row.frames, row.width_px, row.height_px, row.keyframes, row.tracks,

@@ -15,7 +15,7 @@ namespace corvid {
 
 /// Time spent in one stage or one part of it, over a run.
 struct StageMetrics {
-  std::string name;  ///< "frontend", "frontend/track", "backend/adjust", ...
+  std::string name;  ///< "frontend", "frontend/search", "backend/adjust", ...
   std::uint64_t count = 0;
   double median_ms = 0, p95_ms = 0, p99_ms = 0, total_s = 0;
 };

@@ -221,6 +221,38 @@ TEST_P(NccVariants, AgreesWithTheOracleForEverySizeAndWeight) {
   }
 }
 
+// Templates of several images in one call are those of one call for each, whatever the memory.
+TEST_P(NccVariants, SeveralReferencesAreAsOneAfterTheOther) {
+  auto matcher = make<NccMatcher>("", GetParam());
+  const auto images = test_images(110, 84);
+  const DeviceImage target = upload(*test_device(), images[0].second);
+  const DeviceImage references[] = {target, upload(*test_device(), noise(90, 70)), target};
+  std::vector<NccJob> jobs[3];
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 40 + 7 * i; ++k)  // some lie outside: they have no template
+      jobs[i].push_back(job_at(static_cast<float>(2 * k) + 0.3F, 30.0F + static_cast<float>(i),
+                               2 * k, 30 + i, 6, 5));
+  NccOptions options;
+  std::vector<NccResult> wanted;
+  for (int i = 0; i < 3; ++i)
+    for (const NccResult& result : matcher.match(references[i], target, jobs[i], options))
+      wanted.push_back(result);
+  const NccBatch batches[] = {
+      {&references[0], jobs[0]}, {&references[1], jobs[1]}, {&references[2], jobs[2]}};
+  for (const std::size_t budget : {std::size_t{64} << 20, std::size_t{20000}}) {
+    options.memory_budget_bytes = budget;
+    const auto got = matcher.match(batches, target, options);
+    ASSERT_EQ(got.size(), wanted.size());
+    int peaks = 0;
+    for (std::size_t i = 0; i < got.size(); ++i) {
+      EXPECT_TRUE(same(got[i], wanted[i])) << i << " budget " << budget;
+      peaks += wanted[i].count;
+    }
+    EXPECT_GT(peaks, 60);
+  }
+  EXPECT_TRUE(matcher.match(std::span<const NccBatch>(), target, options).empty());
+}
+
 TEST_P(NccVariants, TemplatesNeedNotBeSquareNorWeightsSymmetric) {
   auto matcher = make<NccMatcher>("", GetParam());
   const GreyImage image = test_images(110, 84)[0].second;

@@ -138,7 +138,7 @@ inline RunResult made_up_run(int frames = 120) {
   run.mesh = coloured_sphere(centre.cast<float>(), kRadius, 60, 90);
   run.voxel_size = 0.05;
   run.stages = {{"frontend", static_cast<std::uint64_t>(frames), 12.1, 19.5, 31, 1.6},
-                {"frontend/track", static_cast<std::uint64_t>(frames), 7.3, 9.5, 12, 0.9},
+                {"frontend/search", static_cast<std::uint64_t>(frames), 7.3, 9.5, 12, 0.9},
                 {"backend", static_cast<std::uint64_t>(frames), 3.1, 22.5, 41, 0.8},
                 {"mapping/<depth>", 11, 120.5, 180, 180, 1.4}};
   run.wall_s = 4.2;
