@@ -23,30 +23,18 @@ struct TrackingArguments {
   int tracks = 1000, count = -1;
 };
 
-/// The true pose of each frame that has one.
-std::vector<std::optional<Pose>> true_poses(const TrackingRun& run, const Trajectory& truth) {
-  Trajectory times;
-  for (const auto& frame : run.frames) times.push_back({frame.time_ns, Pose()});
-  std::vector<std::optional<Pose>> poses(times.size());
-  for (const PosePair& pair : associate(times, truth)) poses[pair.estimate_index] = pair.truth;
-  return poses;
-}
-
 Expected<void> measure(const TrackingArguments& arguments, const std::string& spec,
-                       const std::shared_ptr<Device>& device, const std::stop_token& stop,
-                       TrackingReport& report) {
-  SourceArguments source_arguments{spec, {}};
-  source_arguments.options.colour = false;
-  source_arguments.options.count = arguments.count;
-  auto source = source_arguments.open();
-  if (!source) return tl::unexpected(source.error());
+                       FrameSource& source, const std::shared_ptr<Device>& device,
+                       const std::stop_token& stop, TrackingReport& report) {
   FrontendOptions options;
   options.max_tracks = arguments.tracks;
-  auto run = run_tracking_bench(device, **source, options, stop);
+  auto run = run_tracking_bench(device, source, options, stop);
   if (!run) return tl::unexpected(run.error());
   run->set = spec;
   report.interrupted = run->interrupted;
-  report.rows.push_back(score_tracking(*run, true_poses(*run, (*source)->truth())));
+  std::vector<std::int64_t> times_ns;
+  for (const auto& frame : run->frames) times_ns.push_back(frame.time_ns);
+  report.rows.push_back(score_tracking(*run, true_poses(times_ns, source.truth())));
   return {};
 }
 
@@ -55,14 +43,25 @@ Expected<ExitCode> run_tracking(const TrackingArguments& arguments, Context& con
     if (auto writable = check_file_writable(*arguments.json); !writable)
       return tl::unexpected(writable.error());
   }
+  std::vector<std::unique_ptr<FrameSource>> sources;  // opened before minutes of measuring
+  for (const std::string& spec : arguments.sources) {
+    SourceArguments source_arguments{spec, {}};
+    source_arguments.options.colour = false;
+    source_arguments.options.count = arguments.count;
+    auto source = source_arguments.open();
+    if (!source) return tl::unexpected(source.error());
+    sources.push_back(std::move(*source));
+  }
   const SignalGuard signals;
   auto device = open_explained([&] { return Device::open(arguments.device); });
   if (!device) return tl::unexpected(device.error());
   TrackingReport report;
-  report.machine = bench_machine(**device);
+  const auto machine = opening_on_device(**device, [&] { return bench_machine(**device); });
+  if (!machine) return tl::unexpected(machine.error());
+  report.machine = *machine;
   Expected<void> done;
-  for (const std::string& spec : arguments.sources) {
-    done = measure(arguments, spec, *device, signals.token(), report);
+  for (std::size_t i = 0; i < sources.size(); ++i) {
+    done = measure(arguments, arguments.sources[i], *sources[i], *device, signals.token(), report);
     if (!done || report.interrupted) break;
   }
   // What was measured is kept, whatever happened after it.

@@ -6,6 +6,7 @@
 #include <cctype>
 #include <filesystem>
 #include <memory>
+#include <opencv2/core/utility.hpp>
 #include <optional>
 #include <ostream>
 #include <set>
@@ -231,6 +232,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
       open_explained([&] { return Device::open(options->device, options->threads); });
   if (!device) return tl::unexpected(device.error());
   run.device = (*device)->info().name;
+  if (options->threads > 0) cv::setNumThreads(options->threads);  // the host's part of the budget
   auto matcher = PairMatcher::create(*device, options->matching);
   if (!matcher) return tl::unexpected(matcher.error());
   auto matched =

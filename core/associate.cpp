@@ -54,4 +54,15 @@ std::vector<PosePair> associate(const Trajectory& estimate, const Trajectory& tr
   return pairs;
 }
 
+std::vector<std::optional<Pose>> true_poses(std::span<const std::int64_t> times_ns,
+                                            const Trajectory& truth) {
+  Trajectory stamps;
+  for (const std::int64_t time_ns : times_ns) stamps.push_back({time_ns, Pose()});
+  std::vector<std::optional<Pose>> poses(stamps.size());
+  for (const PosePair& pair : associate(stamps, truth)) {
+    if (pair.truth.finite()) poses[pair.estimate_index] = pair.truth;
+  }
+  return poses;
+}
+
 }  // namespace corvid

@@ -2,6 +2,8 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
+#include <span>
 #include <vector>
 
 #include "corvid/pose.h"
@@ -21,5 +23,9 @@ struct PosePair {
 /// nearest true pose within that difference, each true pose at most once. Both ordered by time.
 [[nodiscard]] std::vector<PosePair> associate(const Trajectory& estimate, const Trajectory& truth,
                                               double max_time_difference_s = 0.01);
+
+/// The true pose at each of the times, ascending; nothing where there is none or it is not finite.
+[[nodiscard]] std::vector<std::optional<Pose>> true_poses(std::span<const std::int64_t> times_ns,
+                                                          const Trajectory& truth);
 
 }  // namespace corvid

@@ -44,18 +44,6 @@ Expected<std::vector<std::vector<FramePtr>>> read_runs(FrameSource& source, int 
   return images;
 }
 
-// The true pose of each image, where there is one.
-std::vector<std::optional<Pose>> true_poses(std::span<const FramePtr> images,
-                                            const Trajectory& truth) {
-  Trajectory times;
-  for (const FramePtr& image : images) times.push_back({image->time_ns, Pose()});
-  std::vector<std::optional<Pose>> poses(images.size());
-  for (const PosePair& pair : associate(times, truth)) {
-    if (pair.truth.finite()) poses[pair.estimate_index] = pair.truth;
-  }
-  return poses;
-}
-
 struct Side {
   PairSide& matcher;
   Tally tally{};
@@ -88,7 +76,9 @@ class MatchingBench {
     const Trajectory truth = set.source->truth();
     const bool refine = set.source->info().intrinsics != IntrinsicsOrigin::calibration;
     for (const auto& run : *runs) {
-      const auto T_world_camera = true_poses(run, truth);
+      std::vector<std::int64_t> times_ns;
+      for (const FramePtr& image : run) times_ns.push_back(image->time_ns);
+      const auto T_world_camera = true_poses(times_ns, truth);
       const std::size_t before = done;
       match_run(set.name, run, T_world_camera, wanted, sift, corvid, done);
       if (done == before) break;

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include <numbers>
 
 namespace corvid {
@@ -45,6 +47,21 @@ TEST(Associate, UsesEachTruePoseOnce) {
   const auto pairs = associate(estimate, truth);
   ASSERT_EQ(pairs.size(), 1u);
   EXPECT_EQ(pairs[0].estimate_index, 1u);
+}
+
+TEST(Associate, TruePosesLeaveOutWhatIsMissingOrNotFinite) {
+  Trajectory truth;
+  for (std::int64_t i = 0; i < 4; ++i)
+    truth.push_back({i * 1'000'000'000, Pose(Eigen::Matrix3d::Identity(),
+                                             Eigen::Vector3d(static_cast<double>(i), 0, 0))});
+  truth[2].T_world_camera = Pose(Eigen::Matrix3d::Identity(), Eigen::Vector3d(std::nan(""), 0, 0));
+  const std::vector<std::int64_t> times_ns{0, 1'000'000'000, 2'000'000'000, 9'000'000'000};
+  const auto poses = true_poses(times_ns, truth);
+  ASSERT_EQ(poses.size(), 4U);
+  ASSERT_TRUE(poses[1]);
+  EXPECT_NEAR(poses[1]->translation().x(), 1, 1e-12);
+  EXPECT_FALSE(poses[2]);
+  EXPECT_FALSE(poses[3]);
 }
 
 }  // namespace

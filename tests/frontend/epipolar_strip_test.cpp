@@ -42,6 +42,23 @@ TEST(EpipolarStrip, ALineIsClippedToTheImage) {
   EXPECT_FALSE(clip_line({std::numeric_limits<double>::quiet_NaN(), 1, 0}, camera(), 0));
 }
 
+TEST(EpipolarStrip, NothingThatADistortedLensSeesIsClipped) {
+  const Camera lens = camera(CameraModel::radtan);
+  for (const Eigen::Vector2d& pixel :
+       {Eigen::Vector2d(2, 3), Eigen::Vector2d(636, 4), Eigen::Vector2d(3, 470)}) {
+    const auto x = undistort_pixel(lens, pixel);
+    ASSERT_TRUE(x);
+    for (double angle : {0.1, 0.8, 1.6, 2.4}) {
+      const Eigen::Vector2d normal(std::cos(angle), std::sin(angle));
+      const auto ends = clip_line({normal.x(), normal.y(), -normal.dot(*x)}, lens, 4);
+      ASSERT_TRUE(ends);
+      const Eigen::Vector2d along = (ends->second - ends->first).normalized();
+      EXPECT_GE(along.dot(*x - ends->first), 0);
+      EXPECT_LE(along.dot(*x - ends->second), 0);
+    }
+  }
+}
+
 TEST(EpipolarStrip, CoversTheLineAndItsSides) {
   for (double angle = 0; angle < 3.1; angle += 0.2) {
     const Eigen::Vector2d normal(std::cos(angle), std::sin(angle)), along(-normal.y(), normal.x());

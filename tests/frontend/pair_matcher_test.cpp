@@ -216,7 +216,8 @@ TEST(PairMatcher, GivesNothingForViewsWithoutOverlap) {
   const auto flight = make_flight();
   const auto matcher = make_matcher();
   // The ground looked at from places far apart: the same kind of texture, another part of it.
-  Pose a = flight->true_pose(0);
+  const Pose a = flight->true_pose(0);
+  int given = 0;
   for (double shift : {60.0, 90.0, 140.0}) {
     const Pose b(a.rotation(), a.translation() + Eigen::Vector3d(shift, 0.7 * shift, 0));
     const auto result = match_images(*matcher, flight->render(a, 0)->grey,
@@ -225,8 +226,11 @@ TEST(PairMatcher, GivesNothingForViewsWithoutOverlap) {
     // What is given must be true: the far background may really be seen in both.
     Errors errors;
     errors.add(*flight, a, b, result);
+    EXPECT_GT(2 * errors.px.size(), result.matches.size());
     EXPECT_LT(errors.wrong_share(3), 0.05) << shift << ": " << result.matches.size();
+    ++given;
   }
+  EXPECT_LT(given, 3);
 }
 
 TEST(PairMatcher, AbstainsOnASingleRepeatedTexture) {
@@ -345,6 +349,52 @@ TEST(PairMatcher, KnownGeometryReplacesTheFullSearch) {
   Errors errors;
   errors.add(*flight, a, b, result);
   EXPECT_LT(errors.wrong_share(3), 0.005);
+}
+
+TEST(PairMatcher, AWrongKnownGeometryIsNotBelieved) {
+  const auto flight = make_flight();
+  const auto matcher = make_matcher();
+  const Pose a = flight->true_pose(20), b = flight->true_pose(24);
+  PairKnowledge known;  // of a camera that moved up instead of on, and turned
+  known.F = true_fundamental(flight->camera(), a,
+                             a * Pose(so3_exp(Eigen::Vector3d(0.2, -0.1, 0.3)), {0.3, -4, 0.5}));
+  const auto result = match_images(*matcher, flight->render(20)->grey, flight->render(24)->grey,
+                                   flight->camera(), known);
+  Errors errors;
+  errors.add(*flight, a, b, result);
+  EXPECT_LT(errors.wrong_share(3), 0.005) << result.matches.size();
+}
+
+TEST(PairMatcher, AThirdViewTellsCandidatesApart) {
+  const auto flight = make_flight(FlightPath::facade);
+  const auto matcher = make_matcher();
+  const Camera& camera = flight->camera();
+  int more = 0, asked = 0;
+  Errors errors;
+  for (std::size_t i : {10U, 60U, 110U}) {
+    const MatchView reference = matcher->prepare(flight->render(i)->grey, camera);
+    const MatchView between = matcher->prepare(flight->render(i + 4)->grey, camera);
+    const MatchView target = matcher->prepare(flight->render(i + 8)->grey, camera);
+    const PairMatches first = matcher->match(reference, between);
+    ASSERT_TRUE(first.F) << first.refusal;
+    const std::vector<AuxiliaryMatches> auxiliary{auxiliary_matches(reference, between, first)};
+    PairKnowledge known;
+    known.auxiliary = auxiliary;
+    const PairMatches alone = matcher->match(reference, target);
+    const PairMatches helped = matcher->match(reference, target, known);
+    expect_complete(reference, helped);
+    ASSERT_TRUE(helped.F) << helped.refusal;
+    const auto affine = helped.disambiguation.total(DisambiguationModule::affine_transfer);
+    const auto transfer = helped.disambiguation.total(DisambiguationModule::epipolar_transfer);
+    asked += affine.in + transfer.in;
+    more += affine.accepted + transfer.accepted;
+    EXPECT_EQ(alone.disambiguation.total(DisambiguationModule::affine_transfer).in, 0);
+    EXPECT_GE(helped.matches.size() + 3, alone.matches.size());
+    errors.add(*flight, flight->true_pose(i), flight->true_pose(i + 8), helped);
+  }
+  EXPECT_GT(asked, 0);
+  EXPECT_GT(more, 0);
+  EXPECT_LT(errors.wrong_share(1), 0.02);
 }
 
 TEST(PairMatcher, TakesCarriedPointsFirstAndExactly) {
