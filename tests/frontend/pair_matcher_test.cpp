@@ -394,7 +394,8 @@ TEST(PairMatcher, AThirdViewTellsCandidatesApart) {
   }
   EXPECT_GT(asked, 0);
   EXPECT_GT(more, 0);
-  EXPECT_LT(errors.wrong_share(1), 0.02);
+  EXPECT_LT(errors.wrong_share(3), 0.005);
+  EXPECT_LT(errors.wrong_share(1), 0.04);
 }
 
 TEST(PairMatcher, TakesCarriedPointsFirstAndExactly) {
