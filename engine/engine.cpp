@@ -289,7 +289,8 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
                                 const std::stop_token& stop) {
   const SourceInfo& info = source.info();
   cv::setNumThreads(impl_->threads);
-  auto frontend = Frontend::create(impl_->device, impl_->options.frontend, info.stills);
+  auto frontend = Frontend::create(impl_->device, impl_->options.frontend, info.stills,
+                                   impl_->options.matching);
   if (!frontend) return tl::unexpected(frontend.error());
   // In a paced run tracking goes before mapping, on the device and on the host.
   QueueBrake brake(impl_->device, Lane::mapping);

@@ -7,6 +7,7 @@
 #include <optional>
 #include <unordered_set>
 
+#include "core/log.h"
 #include "frontend/disambiguate/epipolar_constraint.h"
 #include "frontend/disambiguate/highest_scores.h"
 #include "frontend/disambiguate/unique.h"
@@ -74,7 +75,8 @@ Eigen::Vector2d neighbour_motion(const std::vector<Eigen::Vector2d>& points,
 }  // namespace
 
 Expected<std::unique_ptr<Frontend>> Frontend::create(std::shared_ptr<Device> device,
-                                                     const FrontendOptions& options, bool stills) {
+                                                     const FrontendOptions& options, bool stills,
+                                                     const MatchingOptions& matching) {
   auto pyramids = PyramidBuilder::create(device);
   if (!pyramids) return tl::unexpected(pyramids.error());
   auto corners = CornerDetector::create(device);
@@ -85,14 +87,23 @@ Expected<std::unique_ptr<Frontend>> Frontend::create(std::shared_ptr<Device> dev
   ncc_options.template_px = options.template_px;
   if (const auto ready = matcher->prepare(ncc_options); !ready)
     return tl::unexpected(ready.error());
-  return std::unique_ptr<Frontend>(new Frontend(options, stills, std::move(*pyramids),
-                                                std::move(*corners), std::move(*matcher)));
+  std::unique_ptr<Frontend> frontend(
+      new Frontend(options, std::move(*pyramids), std::move(*corners), std::move(*matcher)));
+  if (stills) {
+    auto window = WindowMatcher::create(device, matching);
+    if (!window) return tl::unexpected(window.error());
+    frontend->window_ = std::move(*window);
+  } else {
+    auto pairs = PairMatcher::create(device, matching);
+    if (!pairs) return tl::unexpected(pairs.error());
+    frontend->pairs_ = std::move(*pairs);
+  }
+  return frontend;
 }
 
-Frontend::Frontend(const FrontendOptions& options, bool stills, PyramidBuilder pyramids,
-                   CornerDetector corners, NccMatcher matcher)
+Frontend::Frontend(const FrontendOptions& options, PyramidBuilder pyramids, CornerDetector corners,
+                   NccMatcher matcher)
     : options_(options),
-      stills_(stills),
       pyramids_(std::move(pyramids)),
       corners_(std::move(corners)),
       matcher_(std::move(matcher)),
@@ -101,6 +112,7 @@ Frontend::Frontend(const FrontendOptions& options, bool stills, PyramidBuilder p
 FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) {
   counts_ = {};
   timings_.clear();
+  if (window_) return process_still(frame, motion);
   Stopwatch watch;
   ++frame_count_;
   const int width = frame->grey.width(), height = frame->grey.height();
@@ -120,38 +132,23 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
   result.frame = frame;
   std::vector<SearchCandidate> found;
   if (!tracks_.empty()) {
-    std::optional<ImageSimilarity> similarity;
     const auto enough = [&] {
       const auto n = count_found(found);
       return n >= kMinFound && static_cast<double>(n) >= kMinFoundShare * counts_.before;
     };
-    if (stills_) {
-      found.resize(tracks_.size());
-      similarity = align_images(matcher_, *previous_->pyramid, *current_->pyramid);
-      recover(*frame->camera, similarity->valid ? &*similarity : nullptr, found);
-      guide(found);
-    } else {
-      found = search(*frame, motion);
-      counts_.found = static_cast<int>(count_found(found));
-      timings_.emplace_back("frontend/search", watch.lap_ms());
-      recover(*frame->camera, nullptr, found);
-      if (!enough() && misses_ % 5 == 0) {
-        // Nothing is where it was: a jump of the camera, or frames that were lost.
-        similarity = align_images(matcher_, *previous_->pyramid, *current_->pyramid);
-        if (similarity->valid) {
-          found.assign(tracks_.size(), {});
-          recover(*frame->camera, &*similarity, found);
-          guide(found);
-        }
-      }
-    }
+    found = search(*frame, motion);
+    counts_.found = static_cast<int>(count_found(found));
+    timings_.emplace_back("frontend/search", watch.lap_ms());
+    recover(*frame->camera, found);
+    // Nothing is where it was: a jump of the camera, or frames that were lost.
+    if (!enough() && misses_ % 5 == 0) rematch(*frame, found);
     timings_.emplace_back("frontend/recover", watch.lap_ms());
     reject_outliers(*frame->camera, found);
     timings_.emplace_back("frontend/epipolar", watch.lap_ms());
 
     if (!enough()) {
       // Keep the tracks for a while: the view may come back (a hand before the lens, a dark frame).
-      if (++misses_ <= kMaxMisses && !stills_) return result;
+      if (++misses_ <= kMaxMisses) return result;
       reset();
     } else {
       const double gap = misses_ + 1;  // frames since the tracks were seen
@@ -176,10 +173,10 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
     }
   }
 
-  result.keyframe = stills_ || keyframe_due(*frame->camera);
+  result.keyframe = keyframe_due(*frame->camera);
   if (result.keyframe) {
     anchor->keyframe = true;
-    if (!stills_) merge(result.observations);
+    merge(result.observations);
     const std::size_t before = tracks_.size();
     make_keyframe(*frame);
     for (std::size_t i = before; i < tracks_.size(); ++i)
@@ -188,7 +185,23 @@ FrameTracks Frontend::process(const FramePtr& frame, const MotionState* motion) 
     timings_.emplace_back("frontend/corners", watch.lap_ms());
   }
   previous_ = current_;
+  previous_frame_ = frame;
   return result;
+}
+
+FrameTracks Frontend::process_still(const FramePtr& frame, const MotionState* motion) {
+  if (motion) window_->end(motion->rejected);
+  WindowFrame seen = window_->add(frame->grey, *frame->camera);
+  counts_.before = static_cast<int>(seen.before);
+  counts_.found = static_cast<int>(seen.carried);
+  counts_.merged = static_cast<int>(seen.merged);
+  counts_.added = static_cast<int>(seen.observations.size() - seen.carried);
+  for (const auto& [step, ms] : seen.timings) timings_.emplace_back("frontend/" + step, ms);
+  for (const WindowPair& pair : seen.pairs)
+    if (!pair.refusal.empty())
+      corvid::log().debug("frames {} and {} have no matches: {}", pair.reference, pair.target,
+                          pair.refusal);
+  return {frame, true, std::move(seen.observations)};
 }
 
 std::optional<SearchQuery> Frontend::predict(const Track& track, const Camera& camera,
@@ -264,8 +277,7 @@ std::vector<SearchCandidate> Frontend::search(const Frame& frame, const MotionSt
   return found;
 }
 
-void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
-                       std::vector<SearchCandidate>& found) {
+void Frontend::recover(const Camera& camera, std::vector<SearchCandidate>& found) {
   std::vector<std::size_t> missing;
   std::vector<Eigen::Vector2d> at, moved;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
@@ -282,15 +294,11 @@ void Frontend::recover(const Camera& camera, const ImageSimilarity* similarity,
   for (std::size_t i : missing) {
     SearchQuery query{previous_->pyramid, tracks_[i].pixel, Eigen::Matrix2d::Identity(),
                       tracks_[i].pixel};
-    if (similarity) {
-      query.predicted_px = (*similarity)(tracks_[i].pixel);
-      query.warp = similarity->linear().inverse();
-    } else if (at.size() >= kNeighbours) {
+    if (at.size() >= kNeighbours)
       query.predicted_px += neighbour_motion(at, moved, tracks_[i].pixel);
-    }
     queries.push_back(query);
   }
-  const bool bounded = !similarity && at.size() >= kNeighbours && at.size() >= tracks_.size() / 2;
+  const bool bounded = at.size() >= kNeighbours && at.size() >= tracks_.size() / 2;
   const int level = bounded ? 0 : std::min(3, current_->pyramid->levels() - 1);
   const int radius = bounded ? 15 : 8;
   auto candidates = search_.candidates(*current_->pyramid, queries, level, radius);
@@ -373,45 +381,18 @@ void Frontend::remove_weak_corners(std::span<const SearchQuery> queries, int lev
     });
 }
 
-void Frontend::guide(std::vector<SearchCandidate>& found) {
-  constexpr std::size_t kFitted = 8;
-  for (int round = 0; round < 2; ++round) {
-    std::vector<Eigen::Vector2d> from, to;
-    for (std::size_t i = 0; i < tracks_.size(); ++i)
-      if (found[i].score > 0) {
-        from.push_back(tracks_[i].pixel);
-        to.push_back(found[i].pixel);
-      }
-    if (from.size() < 2 * kFitted) return;
-    std::vector<SearchQuery> queries;
-    std::vector<std::size_t> slots;
-    for (std::size_t i = 0; i < tracks_.size(); ++i) {
-      if (found[i].score > 0) continue;
-      // Affinity of the neighbours by least squares around their centroid, held near a similarity
-      // by the spread of the points.
-      const auto close = nearest(from, tracks_[i].pixel, kFitted);
-      Eigen::Vector2d mean_from = Eigen::Vector2d::Zero(), mean_to = mean_from;
-      for (std::size_t k : close) {
-        mean_from += from[k] / static_cast<double>(close.size());
-        mean_to += to[k] / static_cast<double>(close.size());
-      }
-      Eigen::Matrix2d covariance = Eigen::Matrix2d::Zero(), cross = covariance;
-      for (std::size_t k : close) {
-        covariance += (from[k] - mean_from) * (from[k] - mean_from).transpose();
-        cross += (to[k] - mean_to) * (from[k] - mean_from).transpose();
-      }
-      if (!(covariance.determinant() > 1.0)) continue;
-      const Eigen::Matrix2d affine = cross * covariance.inverse();
-      const double area = affine.determinant();
-      if (!(area > 0.4) || !(area < 2.5)) continue;
-      const Eigen::Vector2d predicted = affine * (tracks_[i].pixel - mean_from) + mean_to;
-      queries.push_back({previous_->pyramid, tracks_[i].pixel, affine.inverse(), predicted});
-      slots.push_back(i);
-    }
-    const auto matches = search_.track(*current_->pyramid, queries, kCoarseToFine);
-    for (std::size_t k = 0; k < slots.size(); ++k) {
-      if (accept_recovered(tracks_[slots[k]], queries[k], matches[k])) found[slots[k]] = matches[k];
-    }
+void Frontend::rematch(const Frame& frame, std::vector<SearchCandidate>& found) {
+  std::vector<Eigen::Vector2d> carried;
+  for (const Track& track : tracks_) carried.push_back(track.pixel);
+  const MatchView reference =
+      pairs_->prepare(previous_frame_->grey, *previous_frame_->camera, carried);
+  const PairMatches matches = pairs_->match(reference, pairs_->prepare(frame.grey, *frame.camera));
+  found.assign(tracks_.size(), {});
+  for (const PairMatch& match : matches.matches) {
+    if (match.point >= tracks_.size()) break;  // a corner
+    const SearchQuery query{previous_->pyramid, match.x_r, match.warp, match.x_t};
+    const SearchCandidate candidate{match.x_t, match.score, match.covariance_px2};
+    if (accept_recovered(tracks_[match.point], query, candidate)) found[match.point] = candidate;
   }
 }
 
@@ -486,7 +467,7 @@ void Frontend::make_keyframe(const Frame& frame) {
 
   for (Track& track : tracks_) {
     const double scale = std::sqrt(std::abs(track.warp.determinant()));
-    if (stills_ || !track.anchor->keyframe || scale > 1.5 || scale < 0.67 ||
+    if (!track.anchor->keyframe || scale > 1.5 || scale < 0.67 ||
         current_->frame.value - track.anchor->frame.value > 200) {
       track.anchor = current_;
       track.anchor_px = track.pixel;

@@ -11,8 +11,9 @@
 #include "core/tracks.h"
 #include "corvid/error.h"
 #include "corvid/options.h"
-#include "frontend/align.h"
+#include "frontend/pair_matcher.h"
 #include "frontend/track_search.h"
+#include "frontend/window_matcher.h"
 #include "kernels/corners.h"
 #include "kernels/device.h"
 #include "kernels/ncc.h"
@@ -35,14 +36,16 @@ struct FrontendCounts {
 /// Each frame: predict every track (from the backend's poses and landmarks where known, otherwise
 /// from the motion of its neighbours), search coarse to fine with a warped template, look more
 /// widely for what was not found, throw out what breaks the epipolar geometry to the last
-/// keyframe, decide on a keyframe, fill empty places with new corners. One owner; not thread-safe.
+/// keyframe, decide on a keyframe, fill empty places with new corners. When nearly nothing is where
+/// it was (a jump of the camera, lost frames), the last image is matched with this one from
+/// nothing. Photographs are left to a WindowMatcher. One owner; not thread-safe.
 class Frontend {
  public:
-  /// @param stills  frames are photographs far apart: every one becomes a keyframe, and each pair
-  ///                is aligned from nothing.
-  [[nodiscard]] static Expected<std::unique_ptr<Frontend>> create(std::shared_ptr<Device> device,
-                                                                  const FrontendOptions& options,
-                                                                  bool stills);
+  /// @param stills  frames are photographs far apart: every one becomes a keyframe, and all pairs
+  ///                of a window are matched from nothing.
+  [[nodiscard]] static Expected<std::unique_ptr<Frontend>> create(
+      std::shared_ptr<Device> device, const FrontendOptions& options, bool stills,
+      const MatchingOptions& matching = {});
 
   /// @param motion  the backend's newest state; null if there is none yet.
   /// @return the tracks seen in this frame. Empty if nothing of the last frames is seen any more.
@@ -73,8 +76,10 @@ class Frontend {
     Eigen::Matrix2d warp = Eigen::Matrix2d::Identity();
   };
 
-  Frontend(const FrontendOptions& options, bool stills, PyramidBuilder pyramids,
-           CornerDetector corners, NccMatcher matcher);
+  Frontend(const FrontendOptions& options, PyramidBuilder pyramids, CornerDetector corners,
+           NccMatcher matcher);
+
+  [[nodiscard]] FrameTracks process_still(const FramePtr& frame, const MotionState* motion);
 
   /// Where the track is seen from a pose, if the backend knows its landmark.
   [[nodiscard]] static std::optional<SearchQuery> predict(const Track& track, const Camera& camera,
@@ -83,16 +88,15 @@ class Frontend {
   /// Looks for every track near its predicted place; score 0 where there is none above min_score.
   [[nodiscard]] std::vector<SearchCandidate> search(const Frame& frame, const MotionState* motion);
   /// Looks for the tracks that were not found, around where their found neighbours went.
-  void recover(const Camera& camera, const ImageSimilarity* similarity,
-               std::vector<SearchCandidate>& found);
+  void recover(const Camera& camera, std::vector<SearchCandidate>& found);
+  /// Looks for all tracks by matching the last image with this one from nothing.
+  void rematch(const Frame& frame, std::vector<SearchCandidate>& found);
   /// A match of a template of the last frame: if it is good, the track is anchored there.
   bool accept_recovered(Track& track, const SearchQuery& query, const SearchCandidate& match);
   /// Weak-corner removal (thesis 4.3): candidates whose corner score is under that of the template
   /// divided by tau_c. All templates are of the last frame.
   void remove_weak_corners(std::span<const SearchQuery> queries, int level,
                            std::vector<std::vector<SearchCandidate>>& candidates);
-  /// Re-searches what is missing with the affinity of the matched neighbours (stills).
-  void guide(std::vector<SearchCandidate>& found);
   void reject_outliers(const Camera& camera, std::vector<SearchCandidate>& found);
   /// Ends tracks that follow the same feature as an older one, and takes back their observations.
   void merge(std::vector<TrackObservation>& observations);
@@ -101,15 +105,17 @@ class Frontend {
   void reset();
 
   FrontendOptions options_;
-  bool stills_;
   PyramidBuilder pyramids_;
   CornerDetector corners_;
   NccMatcher matcher_;
   TrackSearch search_;
+  std::unique_ptr<WindowMatcher> window_;  ///< of stills; else null
+  std::unique_ptr<PairMatcher> pairs_;     ///< after jumps; null for stills
 
   std::vector<Track> tracks_;               ///< by id
   std::shared_ptr<const Anchor> previous_;  ///< the last frame in which the tracks were found
   std::shared_ptr<const Anchor> current_;
+  FramePtr previous_frame_;          ///< that of previous_
   std::size_t keyframe_tracks_ = 0;  ///< alive at the last keyframe
   int misses_ = 0;                   ///< frames in a row in which nearly nothing was found
   std::uint32_t next_track_ = 0;

@@ -12,7 +12,8 @@ namespace corvid {
 std::vector<std::size_t> find_duplicates(std::span<const Eigen::Vector2d> pixels,
                                          std::span<const Eigen::Vector2d> velocities_px,
                                          double distance_px) {
-  CORVID_CHECK(pixels.size() == velocities_px.size(), "one velocity per point");
+  CORVID_CHECK(velocities_px.empty() || velocities_px.size() == pixels.size(),
+               "one velocity per point, or none");
   // Kept points by square cell: all within the distance lie in 3x3 cells.
   const auto key = [](std::int64_t x, std::int64_t y) { return (y << 32) + x; };
   const auto cell_of = [&](double v) {
@@ -22,7 +23,7 @@ std::vector<std::size_t> find_duplicates(std::span<const Eigen::Vector2d> pixels
   std::vector<std::size_t> duplicates;
   const auto near = [&](std::size_t a, std::size_t b) {
     return (pixels[a] - pixels[b]).norm() < distance_px &&
-           (velocities_px[a] - velocities_px[b]).norm() < distance_px;
+           (velocities_px.empty() || (velocities_px[a] - velocities_px[b]).norm() < distance_px);
   };
   for (std::size_t i = 0; i < pixels.size(); ++i) {
     const std::int64_t x = cell_of(pixels[i].x()), y = cell_of(pixels[i].y());

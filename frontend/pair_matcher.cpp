@@ -186,14 +186,19 @@ MatchView PairMatcher::prepare(const GreyImage& image, const Camera& camera,
   MatchView view;
   view.camera = camera;
   view.pyramid = impl_->pyramids.build(image, levels, Lane::tracking);
-  view.points.assign(carried.begin(), carried.end());
-  const auto corners = impl_->detect(*view.pyramid, 0, impl_->options.max_points, carried);
-  view.points.insert(view.points.end(), corners.begin(), corners.end());
+  view = carry(std::move(view), carried);
   for (int level = 1; level < view.pyramid->levels(); ++level) {
     view.level_points.push_back(impl_->detect(*view.pyramid, level, kLevelPoints, {}));
     const DeviceImage& size = view.pyramid->level(level);
     if (std::max(size.width_px, size.height_px) <= kCoarseSidePx) break;
   }
+  return view;
+}
+
+MatchView PairMatcher::carry(MatchView view, std::span<const Eigen::Vector2d> carried) {
+  const auto corners = impl_->detect(*view.pyramid, 0, impl_->options.max_points, carried);
+  view.points.assign(carried.begin(), carried.end());
+  view.points.insert(view.points.end(), corners.begin(), corners.end());
   return view;
 }
 

@@ -105,6 +105,8 @@ class PairMatcher {
   ///                 first in MatchView::points, in their order. Corners keep away from them.
   [[nodiscard]] MatchView prepare(const GreyImage& image, const Camera& camera,
                                   std::span<const Eigen::Vector2d> carried = {});
+  /// The same image with other points: as prepare() would give them.
+  [[nodiscard]] MatchView carry(MatchView view, std::span<const Eigen::Vector2d> carried);
   [[nodiscard]] PairMatches match(const MatchView& reference, const MatchView& target,
                                   const PairKnowledge& known = {});
 
