@@ -11,6 +11,7 @@
 #include "core/check.h"
 #include "frontend/align.h"
 #include "frontend/disambiguate/highest_scores.h"
+#include "frontend/disambiguate/indirect_matches.h"
 #include "frontend/disambiguate/weak_corners.h"
 #include "frontend/epipolar.h"
 #include "frontend/epipolar_strip.h"
@@ -450,6 +451,23 @@ AuxiliaryMatches auxiliary_matches(const MatchView& reference, const MatchView& 
   third.x_a.resize(reference.points.size());
   for (const PairMatch& match : matches.matches) third.x_a[match.point] = match.x_t;
   if (matches.F) third.F_auxiliary_reference = *matches.F;
+  return third;
+}
+
+AuxiliaryMatches prior_matches(const MatchView& prior, const MatchView& reference,
+                               const PairMatches& prior_to_reference,
+                               const DisambiguationOptions& options) {
+  std::vector<std::optional<Eigen::Vector2d>> points(reference.points.begin(),
+                                                     reference.points.end());
+  std::vector<Eigen::Vector2d> arrived, from;
+  for (const PairMatch& match : prior_to_reference.matches) {
+    arrived.push_back(match.x_t);
+    from.push_back(match.x_r);
+  }
+  AuxiliaryMatches third;
+  third.view = &prior;
+  third.x_a = indirect_matches(points, arrived, from, options.ratio, options.global_px);
+  if (prior_to_reference.F) third.F_auxiliary_reference = prior_to_reference.F->transpose();
   return third;
 }
 

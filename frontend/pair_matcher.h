@@ -82,6 +82,13 @@ struct AuxiliaryMatches {
                                                  const MatchView& auxiliary,
                                                  const PairMatches& matches);
 
+/// From the matches of an earlier image with the reference (thesis 4.4.9, arrangement 1): what that
+/// image's points came to lies beside the reference's own points, and is chained to them by
+/// indirect_matches().
+[[nodiscard]] AuxiliaryMatches prior_matches(const MatchView& prior, const MatchView& reference,
+                                             const PairMatches& prior_to_reference,
+                                             const DisambiguationOptions& options);
+
 /// What is known before matching; everything may be missing.
 struct PairKnowledge {
   /// From poses: the coarse search keeps to the epipolar lines.

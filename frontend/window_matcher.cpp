@@ -61,6 +61,13 @@ PairMatches WindowMatcher::match(int reference, int target) {
     thirds.push_back(auxiliary_matches(view(reference).view, view(between).view, first));
     if (second.F) thirds.back().F_auxiliary_target = second.F->transpose();
   }
+  // And the image before the reference: the target comes last of the three.
+  if (reference > 0) {
+    const auto& earlier = view(reference - 1).to_newer;
+    if (!earlier.empty() && earlier.front().F)
+      thirds.push_back(prior_matches(view(reference - 1).view, view(reference).view,
+                                     earlier.front(), options_.disambiguation));
+  }
   return matcher_->match(view(reference).view, view(target).view, {std::nullopt, thirds});
 }
 
