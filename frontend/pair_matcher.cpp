@@ -33,6 +33,7 @@ constexpr double kSelectionSlack = 2.5;  // on tau_f, until the last measurement
 // Of the points that should be in view. True pairs: 0.3 and more; views of other parts of a scene
 // with the same kinds of texture: up to 0.05.
 constexpr double kMinShare = 0.08;
+constexpr int kAlignIterations = 8;  // of Gauss-Newton, from the vertex; 4 lose 1 % of the matches
 constexpr double kLeastRadiusPx = 4, kMostRadiusPx = 10;  // of a window, at its level
 constexpr double kPiecePx = 24;                           // length of a strip's windows
 constexpr double kMostDepthPx = 48;  // along the epipolar line, to either side of the prediction
@@ -226,7 +227,7 @@ std::vector<std::vector<SearchCandidate>> PairMatcher::Impl::search(
   NccOptions ncc_options;
   ncc_options.template_px = measure.template_px;
   ncc_options.peak_quality = options.peak_quality;
-  if (!measure.exact) ncc_options.align_iterations = 0;
+  ncc_options.align_iterations = measure.exact ? kAlignIterations : 0;
   const auto results = ncc.match(reference.pyramid->level(level), target.pyramid->level(level),
                                  jobs, ncc_options, Lane::tracking);
   std::vector<std::vector<SearchCandidate>> candidates(queries.size());
@@ -552,7 +553,10 @@ class PairMatcher::Run {
     queries_ = guided(reference_.points, 0);
     sets_ = impl_.candidate_sets(reference_, target_, queries_, small, weak_);
     lap("native");
-    bool told = tell_apart(loose, known_.F);
+    // Only F and what leads the strips is wanted of this pass: the modules that triangulate wait.
+    DisambiguationOptions quick = loose;
+    quick.sectors = quick.topology = false;
+    bool told = tell_apart(quick, known_.F);
     lap("disambiguate");
     note_reasons();
     if (!told) return kNoGeometry;
