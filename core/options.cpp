@@ -65,6 +65,7 @@ bool is_index(std::string_view text) {
 std::vector<std::string> FrontendOptions::validate() const {
   Problems p("frontend");
   p.in("max_tracks", max_tracks, 50, 100000);
+  p.in("max_still_points", max_still_points, 50, 100000);
   p.in("corner_quality", corner_quality, 0.0, 1.0);
   p.in("harris_kappa", harris_kappa, 0.0, 0.25);  // 0.25: no structure tensor scores above zero
   p.template_side("template_px", template_px);

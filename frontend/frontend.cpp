@@ -90,7 +90,9 @@ Expected<std::unique_ptr<Frontend>> Frontend::create(std::shared_ptr<Device> dev
   std::unique_ptr<Frontend> frontend(
       new Frontend(options, std::move(*pyramids), std::move(*corners), std::move(*matcher)));
   if (stills) {
-    auto window = WindowMatcher::create(device, matching);
+    MatchingOptions of_stills = matching;
+    of_stills.max_points = options.max_still_points;
+    auto window = WindowMatcher::create(device, of_stills);
     if (!window) return tl::unexpected(window.error());
     frontend->window_ = std::move(*window);
   } else {

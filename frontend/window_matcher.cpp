@@ -3,15 +3,18 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <unordered_map>
 #include <unordered_set>
 
 #include "core/check.h"
+#include "frontend/epipolar.h"
 #include "frontend/merge.h"
 
 namespace corvid {
 namespace {
 
 constexpr double kSamePlacePx = 1.5;  // tracks closer than this follow the same feature
+constexpr double kChainedPx = 0.3;    // Sampson distance of places that a chain of matches gave
 constexpr double kAgreeSigmas = 4;    // places of one track that differ by more do not agree
 // What the covariances do not know of: templates are flat, the scene is not.
 constexpr double kModelSigmaPx = 0.15;
@@ -49,6 +52,32 @@ Expected<std::unique_ptr<WindowMatcher>> WindowMatcher::create(std::shared_ptr<D
   return std::unique_ptr<WindowMatcher>(new WindowMatcher(std::move(*matcher), options));
 }
 
+std::optional<Eigen::Matrix3d> WindowMatcher::chained_fundamental(int reference, int target) const {
+  const auto view = [&](int i) -> const View& { return views_[static_cast<std::size_t>(i)]; };
+  std::unordered_map<TrackId, Eigen::Vector2d> in_target;
+  for (int between = reference + 1; between < target; ++between) {
+    const PairMatches& pair =
+        view(between).to_newer[static_cast<std::size_t>(target - between - 1)];
+    for (const PairMatch& match : pair.matches)
+      if (const auto track = view(between).tracks[match.point])
+        in_target.try_emplace(*track, match.x_t);
+  }
+  std::vector<Eigen::Vector2d> x_r, x_t;
+  for (std::size_t i = 0; i < view(reference).tracks.size(); ++i) {
+    const auto track = view(reference).tracks[i];
+    const auto found = track ? in_target.find(*track) : in_target.end();
+    if (found == in_target.end()) continue;
+    const auto a = undistort_pixel(view(reference).view.camera, view(reference).view.points[i]);
+    const auto b = undistort_pixel(view(target).view.camera, found->second);
+    if (!a || !b) continue;
+    x_r.push_back(*a);
+    x_t.push_back(*b);
+  }
+  const auto geometry = estimate_fundamental(x_r, x_t, kChainedPx, options_.disambiguation.seed);
+  if (!geometry || geometry->inliers < 2 * options_.disambiguation.min_matches) return std::nullopt;
+  return geometry->F;
+}
+
 PairMatches WindowMatcher::match(int reference, int target) {
   const auto view = [&](int i) -> View& { return views_[static_cast<std::size_t>(i)]; };
   std::vector<AuxiliaryMatches> thirds;
@@ -68,7 +97,8 @@ PairMatches WindowMatcher::match(int reference, int target) {
       thirds.push_back(prior_matches(view(reference - 1).view, view(reference).view,
                                      earlier.front(), options_.disambiguation));
   }
-  return matcher_->match(view(reference).view, view(target).view, {std::nullopt, thirds});
+  return matcher_->match(view(reference).view, view(target).view,
+                         {chained_fundamental(reference, target), thirds});
 }
 
 std::vector<WindowMatcher::Seen> WindowMatcher::follow(WindowFrame& result) {

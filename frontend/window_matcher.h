@@ -94,6 +94,9 @@ class WindowMatcher {
       : matcher_(std::move(matcher)), options_(options) {}
 
   [[nodiscard]] PairMatches match(int reference, int target);
+  /// x_t^T F x_r = 0 from features that narrower pairs lead from one view to the other (thesis
+  /// 4.4.8); nothing if there are too few.
+  [[nodiscard]] std::optional<Eigen::Matrix3d> chained_fundamental(int reference, int target) const;
   /// Every track's place in the newest view, ascending by track.
   [[nodiscard]] std::vector<Seen> follow(WindowFrame& result);
   /// Of tracks at the same place the oldest goes on; the others end.

@@ -24,6 +24,8 @@ namespace {
 
 constexpr OptionField kFields[] = {
     CORVID_OPTION(frontend.max_tracks, "features kept alive per frame"),
+    CORVID_OPTION(frontend.max_still_points,
+                  "interest points per photograph, in place of matching.max_points"),
     CORVID_OPTION(frontend.corner_quality, "weakest corner, share of the strongest one's score"),
     CORVID_OPTION(frontend.harris_kappa, "kappa of the Harris-Stephens corner score"),
     CORVID_OPTION(frontend.template_px, "side of the NCC template, odd [px]"),

@@ -9,6 +9,7 @@ namespace corvid {
 /// Image pyramid, corners, tracking (algorithms.md 1 to 4).
 struct FrontendOptions {
   int max_tracks = 800;           ///< features kept alive per frame
+  int max_still_points = 3000;    ///< of photographs, in place of matching.max_points
   double corner_quality = 0.001;  ///< Q_c, share of the strongest lambda_min; 0.01 in thesis 4.2,
                                   ///< see docs/decisions/corner-quality.md
   double harris_kappa = 0.04;     ///< Harris-Stephens kappa (thesis 4.2)

@@ -31,5 +31,10 @@ TEST(Duplicates, OfAChainEverySecondIsTooNearToOneThatLives) {
 
 TEST(Duplicates, OfNothingAreNone) { EXPECT_TRUE(find_duplicates({}, {}, 1.5).empty()); }
 
+TEST(Duplicates, GoByThePlacesAloneWhereThereAreNoVelocities) {
+  EXPECT_EQ(find_duplicates(Points{{10, 10}, {11, 10}, {20, 10}, {10.2, 9.5}}, {}, 1.5),
+            (Indices{1, 3}));
+}
+
 }  // namespace
 }  // namespace corvid
