@@ -1,5 +1,7 @@
 #include "backend/backend.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -16,12 +18,13 @@
 namespace corvid {
 namespace {
 
-constexpr int kMaxLostFrames = 15;    ///< then a new segment starts
-constexpr double kMinShare = 0.2;     ///< of the landmarks must agree with a pose
-constexpr double kGoodShare = 0.4;    ///< fewer: degraded
-constexpr int kMaxStrikes = 3;        ///< frames in a row in which a track may disagree
-constexpr int kIntrinsicsFrom = 6;    ///< keyframes before intrinsics are refined
-constexpr int kIntrinsicsUntil = 30;  ///< keyframes after which windows leave them alone
+constexpr int kMaxLostFrames = 15;     ///< then a new segment starts
+constexpr double kMinShare = 0.2;      ///< of the landmarks must agree with a pose
+constexpr double kGoodShare = 0.4;     ///< fewer: degraded
+constexpr double kSurelyWrong = 0.99;  ///< probability that makes a calibration a wrong one
+constexpr int kMaxStrikes = 3;         ///< frames in a row in which a track may disagree
+constexpr int kIntrinsicsFrom = 6;     ///< keyframes before intrinsics are refined
+constexpr int kIntrinsicsUntil = 30;   ///< keyframes after which windows leave them alone
 
 double median(std::vector<double> values) {
   if (values.empty()) return 0;
@@ -34,7 +37,7 @@ double median(std::vector<double> values) {
 
 struct Backend::Impl {
   Impl(const BackendOptions& o, bool refine_intrinsics, int thread_count)
-      : options(o), refine(refine_intrinsics), threads(thread_count) {
+      : options(o), refine(refine_intrinsics), threads(thread_count), focal(!refine_intrinsics) {
     if (threads <= 0) threads = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   }
 
@@ -48,8 +51,11 @@ struct Backend::Impl {
   void add_starting(const FrameTracks& tracks, PoseEvent* event);
   void add_tracking(const FrameTracks& tracks, PoseEvent* event);
   void add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event);
+  void judge(double visible, PoseEvent* event) const;
+  void learn_focal();
   void insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,
-                       const Pose& T_world_camera);
+                       const Resection& r);
+  [[nodiscard]] Drift drift_of(const Resection& r) const;
   [[nodiscard]] Sighting sight(const FrameTracks& tracks) const;
   [[nodiscard]] std::optional<Pose> predict(std::int64_t time_ns) const;
   [[nodiscard]] bool jumps(const Resection& r, std::size_t points, std::int64_t time_ns) const;
@@ -77,6 +83,7 @@ struct Backend::Impl {
   std::vector<FrameRecord> frames;
   std::size_t segment_first_frame = 0;  ///< in `frames`
   int lost_frames = 0;
+  FocalBelief focal;
   double median_depth = 1;  ///< of the last good frame's landmarks
   std::uint64_t version = 0;
   std::shared_ptr<const MapSnapshot> published_map = std::make_shared<MapSnapshot>();
@@ -139,14 +146,14 @@ void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
   starter.clear();
   mode = Mode::tracking;
   lost_frames = 0;
+  learn_focal();
   publish_map();
 
   const MapKeyframe& newest = map.keyframes.back();
   const Sighting seen = sight(tracks);
-  event->state = TrackingState::tracking;
   event->keyframe = true;
   event->T_world_camera = newest.T_world_camera;
-  event->covariance = newest.covariance;
+  event->covariance = newest.drift.pose_covariance(focal.square());
   double sum = 0;
   for (const PointView& p : seen.points) {
     const auto pixel = map.camera.project(newest.T_world_camera.inverse() * p.p_world);
@@ -157,6 +164,7 @@ void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
     sum += e2;
   }
   event->mse_px2 = event->inliers > 0 ? sum / event->inliers : 0;
+  judge(static_cast<double>(seen.points.size()), event);
 }
 
 Backend::Impl::Sighting Backend::Impl::sight(const FrameTracks& tracks) const {
@@ -229,6 +237,30 @@ void Backend::Impl::add_lost(const FrameTracks& tracks, std::string reason, Pose
   }
 }
 
+/// That of the newest keyframe, carried over to a frame, and what its own resection adds.
+Drift Backend::Impl::drift_of(const Resection& r) const {
+  const MapKeyframe& reference = map.keyframes.back();
+  Drift drift = reference.drift.seen_from(reference.T_world_camera.inverse() * r.T_world_camera);
+  drift.covariance.topLeftCorner<6, 6>() += kObservationsPerFact * r.covariance;
+  return drift;
+}
+
+/// Whether a pose that was found is good, and if not, why.
+void Backend::Impl::judge(double visible, PoseEvent* event) const {
+  event->state = TrackingState::degraded;
+  if (event->inliers < 2 * options.min_inliers) {
+    event->reason = "few landmarks are in view";
+  } else if (event->inliers < kGoodShare * visible) {
+    event->reason = "many landmarks disagree with the pose";
+  } else if (!refine && focal.wrong() > kSurelyWrong) {
+    event->reason =
+        fmt::format("the calibration does not fit: the images ask for a focal length {:.0f} % {}",
+                    100 * std::abs(focal.asked()), focal.asked() > 0 ? "longer" : "shorter");
+  } else {
+    event->state = TrackingState::tracking;
+  }
+}
+
 void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   const Sighting seen = sight(tracks);
   ResectSettings settings;
@@ -268,19 +300,11 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
 
   event->inliers = r.inliers;
   event->mse_px2 = r.mse_px2;
-  if (r.inliers < 2 * options.min_inliers) {
-    event->state = TrackingState::degraded;
-    event->reason = "few landmarks are in view";
-  } else if (r.inliers < kGoodShare * visible) {
-    event->state = TrackingState::degraded;
-    event->reason = "many landmarks disagree with the pose";
-  } else {
-    event->state = TrackingState::tracking;
-  }
+  judge(visible, event);
   if (tracks.keyframe) {
-    insert_keyframe(tracks, outliers, r.T_world_camera);
+    insert_keyframe(tracks, outliers, r);
     event->T_world_camera = map.keyframes.back().T_world_camera;
-    event->covariance = map.keyframes.back().covariance;
+    event->covariance = map.keyframes.back().drift.pose_covariance(focal.square());
     return;
   }
   const MapKeyframe& reference = map.keyframes.back();
@@ -288,9 +312,7 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   frames.push_back({tracks.frame->id, tracks.frame->time_ns,
                     static_cast<int>(map.keyframes.size()) - 1, T_keyframe_frame});
   event->T_world_camera = r.T_world_camera;
-  // The keyframe's uncertainty is carried over to the frame, the landmarks' share included in it.
-  const Matrix6d Ad = T_keyframe_frame.inverse().adjoint();
-  event->covariance = r.covariance + Ad * reference.covariance * Ad.transpose();
+  event->covariance = drift_of(r).pose_covariance(focal.square());
 }
 
 IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
@@ -327,7 +349,7 @@ bool Backend::Impl::wide_enough(std::vector<double> ray_angles_rad) const {
 }
 
 void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,
-                                    const Pose& T_world_camera) {
+                                    const Resection& r) {
   std::vector<TrackObservation> kept;
   kept.reserve(tracks.observations.size());
   std::set_difference(tracks.observations.begin(), tracks.observations.end(), outliers.begin(),
@@ -341,7 +363,9 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
                         };
                         return id(a) < id(b);
                       });
-  const int k = map.add_keyframe(tracks.frame, segment, T_world_camera, kept);
+  const Drift drift = drift_of(r);
+  const int k = map.add_keyframe(tracks.frame, segment, r.T_world_camera, kept);
+  map.keyframes.back().drift = drift;  // until the window knows better
   frames.push_back({tracks.frame->id, tracks.frame->time_ns, k, Pose()});
   map.triangulate_tracks(k, options.min_angle_rad, options.max_error_px);
   lap("backend/triangulate");
@@ -354,9 +378,15 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
     policy.refine = false;
   }
   adjust_window(map, segment_first, count, options, threads, policy);
+  learn_focal();
   map.forget_tracks(k - options.window_keyframes);
   lap("backend/adjust");
   publish_map();
+}
+
+void Backend::Impl::learn_focal() {
+  if (refine) focal.clear();  // the estimate was of another one
+  focal.add(map.keyframes.back().focal, std::min(options.window_keyframes, segment_keyframes()));
 }
 
 void Backend::Impl::publish_motion(const FrameTracks& tracks) {

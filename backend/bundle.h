@@ -52,9 +52,4 @@ struct BundleResult {
 /// Deterministic if threads == 1.
 BundleResult adjust(BundleProblem& problem, const BundleSettings& settings);
 
-/// Marginal covariance (6x6, right perturbation) of one free pose, the fixed poses and the scale
-/// of `hold_distance` taken as exact: inverse of the reduced camera system, times the variance
-/// factor of the residuals. Zero if it is singular or the pose is fixed.
-[[nodiscard]] Matrix6d pose_covariance(const BundleProblem& problem, int pose, double huber_px);
-
 }  // namespace corvid

@@ -6,6 +6,7 @@
 #include <memory>
 #include <vector>
 
+#include "backend/drift.h"
 #include "backend/triangulate.h"
 #include "core/tracks.h"
 #include "corvid/map.h"
@@ -36,8 +37,9 @@ struct MapKeyframe {
   FramePtr frame;
   int segment = 0;
   Pose T_world_camera;
-  Matrix6d covariance = Matrix6d::Zero();  ///< right perturbation, relative to the segment's start
-  std::vector<TrackId> tracks;             ///< ascending; those with a view here or once had
+  Drift drift;  ///< since the segment's start; not known of keyframes before the first window
+  FocalEstimate focal;                        ///< what the window says that ended here
+  std::vector<TrackId> tracks;                ///< ascending; those with a view here or once had
   std::shared_ptr<const Keyframe> published;  ///< null if it changed since
 };
 

@@ -1,6 +1,7 @@
 #include "backend/window.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "backend/bundle.h"
 #include "core/check.h"
@@ -124,26 +125,45 @@ BundleSettings settings_for(const BackendOptions& options, int threads,
   return settings;
 }
 
-/// Covariance of the newest keyframe: what the window adds to that of the newest fixed keyframe.
-void estimate_covariance(MapData& map, const Part& part, double huber_px) {
-  int newest = -1, anchor = -1;
+/// Drift of the newest keyframe: that of the newest fixed one whose own is known (or of the first,
+/// which has none), and what the views since then leave open.
+void estimate_drift(MapData& map, const Part& part, int first, double huber_px) {
+  int newest = -1, anchor = -1;  // keyframes
   for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
-    const int pose = static_cast<int>(i);
-    int& best = part.problem.fixed[i] != 0 ? anchor : newest;
-    if (best < 0 || part.keyframes[i] > part.keyframes[static_cast<std::size_t>(best)]) {
-      best = pose;
-    }
+    const int k = part.keyframes[i];
+    newest = std::max(newest, k);
+    const bool known = map.keyframes[static_cast<std::size_t>(k)].drift.known;
+    if (part.problem.fixed[i] != 0 && (known || k == first)) anchor = std::max(anchor, k);
   }
-  if (newest < 0 || anchor < 0) return;
-  const auto keyframe = [&](int pose) -> MapKeyframe& {
-    return map.keyframes[static_cast<std::size_t>(part.keyframes[static_cast<std::size_t>(pose)])];
-  };
-  MapKeyframe& k = keyframe(newest);
-  const MapKeyframe& a = keyframe(anchor);
-  // T_anchor exp(d) T_anchor_k = T_k exp(Ad(T_k_anchor) d).
-  const Matrix6d Ad = (k.T_world_camera.inverse() * a.T_world_camera).adjoint();
-  k.covariance =
-      pose_covariance(part.problem, newest, huber_px) + Ad * a.covariance * Ad.transpose();
+  if (anchor < 0 || newest <= anchor) return;
+  BundleProblem since;
+  since.camera = part.problem.camera;
+  since.points = part.problem.points;
+  std::vector<int> pose_of(part.keyframes.size(), -1);
+  int from = -1, to = -1;
+  for (const BundleObservation& o : part.problem.observations) {
+    const auto i = static_cast<std::size_t>(o.pose);
+    const int k = part.keyframes[i];
+    if (k < anchor) continue;
+    if (pose_of[i] < 0) {
+      pose_of[i] = static_cast<int>(since.T_world_camera.size());
+      since.T_world_camera.push_back(part.problem.T_world_camera[i]);
+      since.fixed.push_back(0);
+      if (k == anchor) from = pose_of[i];
+      if (k == newest) to = pose_of[i];
+    }
+    since.observations.push_back({pose_of[i], o.point, o.pixel, o.sigma_px});
+  }
+  if (from < 0 || to < 0) return;
+  const DriftLink link = drift_link(since, from, to, huber_px);
+  MapKeyframe& k = map.keyframes[static_cast<std::size_t>(newest)];
+  const MapKeyframe& a = map.keyframes[static_cast<std::size_t>(anchor)];
+  if (!link.ok) return;
+  k.drift = a.drift.seen_from(a.T_world_camera.inverse() * k.T_world_camera);
+  k.drift.known = true;
+  k.drift.covariance += kObservationsPerFact * link.drift.covariance;
+  k.drift.by_focal += link.drift.by_focal;
+  k.focal = {link.focal.share, std::sqrt(kObservationsPerFact) * link.focal.sigma};
 }
 
 }  // namespace
@@ -169,7 +189,7 @@ bool adjust_window(MapData& map, int first, int count, const BackendOptions& opt
   const bool ok = adjust(part.problem, settings_for(options, threads, intrinsics)).ok;
   if (ok) {
     write_back(map, part, intrinsics.refine);
-    estimate_covariance(map, part, options.huber_px);
+    estimate_drift(map, part, first, options.huber_px);
   }
   drop_outliers(map, part, options);
   return ok;

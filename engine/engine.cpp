@@ -14,6 +14,7 @@
 #include "core/log.h"
 #include "core/stopwatch.h"
 #include "engine/gate.h"
+#include "engine/in_order.h"
 #include "engine/latest.h"
 #include "engine/metrics.h"
 #include "engine/queue.h"
@@ -73,6 +74,7 @@ struct Engine::Impl {
   struct Run {
     Impl& engine;
     FrameSource& source;
+    InOrder intake;  // of the source
     EngineSinks sinks;
     Gate& gate;
     std::unique_ptr<Frontend> frontend;
@@ -157,7 +159,7 @@ bool Engine::Impl::Run::map_once(const MapSnapshot& snapshot) {
 
 std::optional<Error> Engine::Impl::Run::run_inline(const std::stop_token& stop) {
   while (!stop.stop_requested()) {
-    auto frame = source.next(stop);
+    auto frame = intake.next(stop);
     if (!frame) return frame.error();
     if (!*frame) break;
     const std::int64_t entered_ns = clock.now_ns();
@@ -198,7 +200,7 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
     std::jthread capture([&] {
       guarded([&] {
         while (!halted.stop_requested()) {
-          auto frame = source.next(halted);
+          auto frame = intake.next(halted);
           if (!frame) {
             source_error = frame.error();
             break;
@@ -277,7 +279,7 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
           statistics.dropped_blocks, engine.options.mapping.max_blocks));
   }
   const std::uint64_t dropped = result.counts.dropped;
-  result.counts = source.counts();
+  result.counts = intake.counts();
   result.counts.dropped += dropped;
   result.counts.delivered -= std::min(result.counts.delivered, dropped);  // never reached a stage
   result.interrupted = interrupted;
@@ -310,6 +312,7 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
       impl_->options.backend, info.intrinsics != IntrinsicsOrigin::calibration, impl_->threads);
   Impl::Run run{*impl_,
                 source,
+                InOrder(source),
                 sinks,
                 gate,
                 std::move(*frontend),

@@ -59,7 +59,7 @@ Flown fly(std::size_t frames, const Disturbance& disturbance,
   const Honesty& h = flown.honesty;
   std::printf("  %zu poses, %zu keyframes, %.1f %% within, median squared %.2f, worst %.2f sigmas (event %zu)\n",
               h.poses, flown.result.map->keyframes.size(), 100 * h.within, h.median_squared, h.worst, h.worst_event);
-  if (getenv("CORVID_TALK")) {
+  if (std::getenv("CORVID_TALK")) {
     std::map<std::size_t, scenes::ClaimedPose> by;
     for (auto& c : flown.claims) by[c.event] = c;
     for (std::size_t i = 0; i < flown.result.events.size(); ++i) {

@@ -19,18 +19,18 @@ namespace corvid::scenes {
 struct Disturbance {
   using Span = std::pair<std::size_t, std::size_t>;  ///< frames [first, second)
 
-  Span covered{};                                ///< a hand before the lens: dark, noise only
-  double missing = 0;                            ///< share of the frames that never come
-  std::optional<std::size_t> twice_every;        ///< each n-th frame comes twice
-  std::optional<std::size_t> stale_every;        ///< each n-th frame shows the picture before it
-  std::optional<std::size_t> swapped_every;      ///< each n-th frame comes after the next one
-  std::optional<std::size_t> brighter_from;      ///< exposure jumps here
-  double brighter = 1;                           ///< by this factor; bright parts saturate
-  std::optional<std::size_t> kidnapped_at;       ///< from here on the camera is elsewhere,
-  std::size_t kidnapped_by = 0;                  ///< so many frames ahead on its path
-  bool patch = false;                            ///< textured, over a third of the image, moving
-  double focal = 1;                              ///< factor on the focal length that is told
-  std::uint64_t seed = 1;                        ///< of what is missing and of the patch
+  Span covered{};                            ///< a hand before the lens: dark, noise only
+  double missing = 0;                        ///< share of the frames that never come
+  std::optional<std::size_t> twice_every;    ///< each n-th frame comes twice
+  std::optional<std::size_t> stale_every;    ///< each n-th frame shows the picture before it
+  std::optional<std::size_t> swapped_every;  ///< each n-th frame comes after the next one
+  std::optional<std::size_t> brighter_from;  ///< exposure jumps here
+  double brighter = 1;                       ///< by this factor; bright parts saturate
+  std::optional<std::size_t> kidnapped_at;   ///< from here on the camera is elsewhere,
+  std::size_t kidnapped_by = 0;              ///< so many frames ahead on its path
+  bool patch = false;                        ///< textured, over a third of the image, moving
+  double focal = 1;                          ///< factor on the focal length that is told
+  std::uint64_t seed = 1;                    ///< of what is missing and of the patch
   /// Instead of the flight's own pose, by the number of the frame.
   std::function<Pose(const SyntheticFlight&, std::size_t)> pose;
 };
@@ -75,8 +75,7 @@ class DisturbedFlight final : public FrameSource {
  private:
   static FlightOptions lengthened(FlightOptions options, std::size_t frames,
                                   const Disturbance& disturbance) {
-    options.duration_s =
-        static_cast<double>(frames + disturbance.kidnapped_by) / options.rate_hz;
+    options.duration_s = static_cast<double>(frames + disturbance.kidnapped_by) / options.rate_hz;
     return options;
   }
   static bool every(const std::optional<std::size_t>& n, std::size_t i) {
