@@ -50,6 +50,7 @@ struct Backend::Impl {
   PoseEvent add(const FrameTracks& tracks);
   void add_starting(const FrameTracks& tracks, PoseEvent* event);
   void add_tracking(const FrameTracks& tracks, PoseEvent* event);
+  void add_stale(const FrameTracks& tracks, PoseEvent* event);
   void add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event);
   void judge(double visible, PoseEvent* event) const;
   void learn_focal();
@@ -82,6 +83,7 @@ struct Backend::Impl {
   int segment = 0, segment_first = 0;
   std::vector<FrameRecord> frames;
   std::size_t segment_first_frame = 0;  ///< in `frames`
+  FramePtr newest_frame;
   int lost_frames = 0;
   FocalBelief focal;
   double median_depth = 1;  ///< of the last good frame's landmarks
@@ -110,8 +112,13 @@ PoseEvent Backend::Impl::add(const FrameTracks& tracks) {
   event.time_ns = tracks.frame->time_ns;
   event.tracks = static_cast<int>(tracks.observations.size());
   event.keyframe = tracks.keyframe;
+  const bool stale =
+      newest_frame && !newest_frame->grey.empty() && newest_frame->grey == tracks.frame->grey;
+  newest_frame = tracks.frame;
   if (mode == Mode::starting) {
     add_starting(tracks, &event);
+  } else if (stale && lost_frames == 0) {
+    add_stale(tracks, &event);
   } else {
     add_tracking(tracks, &event);
   }
@@ -217,6 +224,25 @@ bool Backend::Impl::jumps(const Resection& r, std::size_t points, std::int64_t t
       (r.T_world_camera.translation() - pose_of(frames.back()).translation()).norm() / dt;
   // A hovering camera may start to move: speeds far below one scene depth per 10 s are no jump.
   return speed > kTimesFaster * std::max(median(std::move(speeds)), 0.01 * median_depth);
+}
+
+/// A picture that is the one before to the last bit, noise included, shows an earlier moment: the
+/// camera's driver has repeated it. The pose is foretold from the motion before.
+void Backend::Impl::add_stale(const FrameTracks& tracks, PoseEvent* event) {
+  event->state = TrackingState::degraded;
+  event->reason = "the picture is the same as the one before: the pose is foretold";
+  event->keyframe = false;
+  const Pose newest = pose_of(frames.back());
+  const Pose foretold = predict(tracks.frame->time_ns).value_or(newest);
+  const MapKeyframe& reference = map.keyframes.back();
+  const Pose T_keyframe_frame = reference.T_world_camera.inverse() * foretold;
+  frames.push_back({tracks.frame->id, tracks.frame->time_ns,
+                    static_cast<int>(map.keyframes.size()) - 1, T_keyframe_frame});
+  event->T_world_camera = foretold;
+  // The camera may as well have stopped, or gone twice as fast.
+  const Vector6d step = (newest.inverse() * foretold).log();
+  event->covariance = reference.drift.seen_from(T_keyframe_frame).pose_covariance(focal.square()) +
+                      step * step.transpose();
 }
 
 void Backend::Impl::add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event) {

@@ -157,8 +157,12 @@ Drift Drift::seen_from(const Pose& T_here_there) const {
 }
 
 Matrix6d Drift::pose_covariance(double focal_square) const {
+  constexpr double kUnforeseen = 0.25;
   const Vector6d b = by_focal.head<6>();
-  return covariance.topLeftCorner<6, 6>() + focal_square * b * b.transpose();
+  Matrix6d by = b * b.transpose();
+  by.diagonal().head<3>().array() += kUnforeseen * kUnforeseen * b.head<3>().squaredNorm();
+  by.diagonal().tail<3>().array() += kUnforeseen * kUnforeseen * b.tail<3>().squaredNorm();
+  return covariance.topLeftCorner<6, 6>() + focal_square * by;
 }
 
 DriftLink drift_link(const BundleProblem& problem, int anchor, int newest, double huber_px) {

@@ -24,7 +24,8 @@ struct Drift {
 
   /// The same errors seen from a frame whose pose in this one's is T_here_there.
   [[nodiscard]] Drift seen_from(const Pose& T_here_there) const;
-  /// Of the pose: with a focal length whose squared error is expected to be `focal_square`.
+  /// Of the pose: with a focal length whose squared error is expected to be `focal_square`. The
+  /// direction of what that does is foreseen to a quarter of its size (it is no linear thing).
   [[nodiscard]] Matrix6d pose_covariance(double focal_square) const;
 };
 

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <utility>
+#include <vector>
 
 #include "backend/bundle.h"
 #include "core/check.h"
@@ -51,16 +54,27 @@ Part collect(MapData& map, const std::vector<std::uint8_t>& moving, int first) {
   return part;
 }
 
-/// Poses of the problem that stand for the earliest two keyframes >= first, in that order.
-std::vector<int> earliest_two(const Part& part, int first) {
-  std::vector<std::pair<int, int>> order;
-  for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
-    if (part.keyframes[i] >= first) order.emplace_back(part.keyframes[i], static_cast<int>(i));
+/// The poses whose distance stands for the scale: that of the earliest keyframe, and of the first
+/// one that is at least half as far from it as any is. (A camera that only turned first, or stood
+/// still, has keyframes in one place, whose distance is nothing but noise.) Empty if all are there.
+std::vector<int> scale_pair(const Part& part, std::vector<int> poses) {
+  std::sort(poses.begin(), poses.end(), [&](int a, int b) {
+    return part.keyframes[static_cast<std::size_t>(a)] <
+           part.keyframes[static_cast<std::size_t>(b)];
+  });
+  if (poses.size() < 2) return {};
+  const auto distance = [&](int pose) {
+    const auto& T = part.problem.T_world_camera;
+    return (T[static_cast<std::size_t>(pose)].translation() -
+            T[static_cast<std::size_t>(poses.front())].translation())
+        .norm();
+  };
+  double farthest = 0;
+  for (const int pose : poses) farthest = std::max(farthest, distance(pose));
+  for (const int pose : poses) {
+    if (farthest > 0 && distance(pose) >= 0.5 * farthest) return {poses.front(), pose};
   }
-  std::sort(order.begin(), order.end());
-  std::vector<int> poses;
-  for (std::size_t i = 0; i < order.size() && i < 2; ++i) poses.push_back(order[i].second);
-  return poses;
+  return {};
 }
 
 void write_back(MapData& map, const Part& part, bool camera_changed) {
@@ -181,8 +195,12 @@ bool adjust_window(MapData& map, int first, int count, const BackendOptions& opt
     if (part.keyframes[i] == first) part.problem.fixed[i] = 1;
     fixed += part.problem.fixed[i];
   }
-  const std::vector<int> gauge = earliest_two(part, first);
-  if (gauge.size() < 2) return false;
+  std::vector<int> poses;
+  for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
+    if (part.keyframes[i] >= first) poses.push_back(static_cast<int>(i));
+  }
+  const std::vector<int> gauge = scale_pair(part, std::move(poses));
+  if (gauge.empty()) return false;
   if (fixed == 0) part.problem.fixed[static_cast<std::size_t>(gauge[0])] = 1;
   if (fixed < 2) part.problem.hold_distance.emplace_back(gauge[0], gauge[1]);
 
@@ -201,20 +219,20 @@ bool adjust_all(MapData& map, const BackendOptions& options, int threads,
   for (int round = 0; round < kRounds; ++round) {
     Part part = collect(map, std::vector<std::uint8_t>(map.keyframes.size(), 1), 0);
     if (part.keyframes.size() < 2) return false;
-    // Gauge of every segment: its first keyframe, and the distance to its second.
-    std::vector<std::pair<int, int>> order;
+    // Gauge of every segment: its first keyframe, and a distance from it.
+    std::map<int, std::vector<int>> segments;
     for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
-      order.emplace_back(part.keyframes[i], static_cast<int>(i));
+      const auto k = static_cast<std::size_t>(part.keyframes[i]);
+      segments[map.keyframes[k].segment].push_back(static_cast<int>(i));
     }
-    std::sort(order.begin(), order.end());
-    const auto segment = [&](std::size_t i) {
-      return map.keyframes[static_cast<std::size_t>(order[i].first)].segment;
-    };
-    for (std::size_t i = 0; i < order.size(); ++i) {
-      if (i > 0 && segment(i) == segment(i - 1)) continue;
-      part.problem.fixed[static_cast<std::size_t>(order[i].second)] = 1;
-      if (i + 1 < order.size() && segment(i + 1) == segment(i)) {
-        part.problem.hold_distance.emplace_back(order[i].second, order[i + 1].second);
+    for (const auto& [segment, poses] : segments) {
+      const int first = *std::min_element(poses.begin(), poses.end(), [&](int a, int b) {
+        return part.keyframes[static_cast<std::size_t>(a)] <
+               part.keyframes[static_cast<std::size_t>(b)];
+      });
+      part.problem.fixed[static_cast<std::size_t>(first)] = 1;
+      if (const auto gauge = scale_pair(part, poses); !gauge.empty()) {
+        part.problem.hold_distance.emplace_back(gauge[0], gauge[1]);
       }
     }
     BundleSettings settings = settings_for(options, threads, intrinsics);
