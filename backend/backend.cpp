@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <deque>
 #include <optional>
 #include <thread>
 
@@ -52,7 +53,8 @@ struct Backend::Impl {
   void add_tracking(const FrameTracks& tracks, PoseEvent* event);
   void add_stale(const FrameTracks& tracks, PoseEvent* event);
   void add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event);
-  void judge(double visible, PoseEvent* event) const;
+  void judge(double visible, bool odd, PoseEvent* event) const;
+  [[nodiscard]] bool residuals_are_odd(double mse_px2);
   void learn_focal();
   void insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,
                        const Resection& r);
@@ -84,6 +86,7 @@ struct Backend::Impl {
   std::vector<FrameRecord> frames;
   std::size_t segment_first_frame = 0;  ///< in `frames`
   FramePtr newest_frame;
+  std::deque<double> residuals;  ///< mean squares of the segment's last frames [px^2]
   int lost_frames = 0;
   FocalBelief focal;
   double median_depth = 1;  ///< of the last good frame's landmarks
@@ -153,6 +156,7 @@ void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
   starter.clear();
   mode = Mode::tracking;
   lost_frames = 0;
+  residuals.clear();
   learn_focal();
   publish_map();
 
@@ -171,7 +175,7 @@ void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
     sum += e2;
   }
   event->mse_px2 = event->inliers > 0 ? sum / event->inliers : 0;
-  judge(static_cast<double>(seen.points.size()), event);
+  judge(static_cast<double>(seen.points.size()), false, event);
 }
 
 Backend::Impl::Sighting Backend::Impl::sight(const FrameTracks& tracks) const {
@@ -263,6 +267,19 @@ void Backend::Impl::add_lost(const FrameTracks& tracks, std::string reason, Pose
   }
 }
 
+/// Whether residuals are larger than those of the last frames, and large for an inlier. Then points
+/// and pose do not fit each other: something moves, or tracks slip.
+bool Backend::Impl::residuals_are_odd(double mse_px2) {
+  constexpr std::size_t kFrames = 40, kLeast = 10;
+  constexpr double kTimes = 2, kShareOfLargest = 0.3;
+  const double large_px = kShareOfLargest * options.max_error_px;
+  const bool odd = residuals.size() >= kLeast && mse_px2 > large_px * large_px &&
+                   mse_px2 > kTimes * median({residuals.begin(), residuals.end()});
+  residuals.push_back(mse_px2);
+  if (residuals.size() > kFrames) residuals.pop_front();
+  return odd;
+}
+
 /// That of the newest keyframe, carried over to a frame, and what its own resection adds.
 Drift Backend::Impl::drift_of(const Resection& r) const {
   const MapKeyframe& reference = map.keyframes.back();
@@ -272,12 +289,14 @@ Drift Backend::Impl::drift_of(const Resection& r) const {
 }
 
 /// Whether a pose that was found is good, and if not, why.
-void Backend::Impl::judge(double visible, PoseEvent* event) const {
+void Backend::Impl::judge(double visible, bool odd, PoseEvent* event) const {
   event->state = TrackingState::degraded;
   if (event->inliers < 2 * options.min_inliers) {
     event->reason = "few landmarks are in view";
   } else if (event->inliers < kGoodShare * visible) {
     event->reason = "many landmarks disagree with the pose";
+  } else if (odd) {
+    event->reason = "the residuals are larger than they were";
   } else if (!refine && focal.wrong() > kSurelyWrong) {
     event->reason =
         fmt::format("the calibration does not fit: the images ask for a focal length {:.0f} % {}",
@@ -326,11 +345,14 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
 
   event->inliers = r.inliers;
   event->mse_px2 = r.mse_px2;
-  judge(visible, event);
+  const bool odd = residuals_are_odd(r.mse_px2);
+  judge(visible, odd, event);
+  // What makes residuals larger than they were is no noise: all observations are worth one.
+  const Matrix6d doubt = odd ? Matrix6d(r.inliers * r.covariance) : Matrix6d::Zero();
   if (tracks.keyframe) {
     insert_keyframe(tracks, outliers, r);
     event->T_world_camera = map.keyframes.back().T_world_camera;
-    event->covariance = map.keyframes.back().drift.pose_covariance(focal.square());
+    event->covariance = map.keyframes.back().drift.pose_covariance(focal.square()) + doubt;
     return;
   }
   const MapKeyframe& reference = map.keyframes.back();
@@ -338,7 +360,7 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   frames.push_back({tracks.frame->id, tracks.frame->time_ns,
                     static_cast<int>(map.keyframes.size()) - 1, T_keyframe_frame});
   event->T_world_camera = r.T_world_camera;
-  event->covariance = drift_of(r).pose_covariance(focal.square());
+  event->covariance = drift_of(r).pose_covariance(focal.square()) + doubt;
 }
 
 IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {

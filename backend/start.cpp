@@ -12,6 +12,8 @@ namespace corvid {
 namespace {
 
 constexpr int kMaxKeyframes = 10;
+constexpr int kLeastFrames = 6;  ///< of a video between the pair: two views agree with too much
+constexpr double kMostOutliers = 0.2;    ///< of the points in the frames held, or as much error
 constexpr std::size_t kMaxFrames = 600;  ///< half a minute at 20 Hz; about 20 MB of tracks
 
 ResectSettings resect_settings(const BackendOptions& options) {
@@ -46,10 +48,15 @@ void Starter::hold(const FrameTracks& tracks) {
 std::optional<Starter::Pair> Starter::best_pair(const Camera& camera,
                                                 const BackendOptions& options) {
   const Held& newest = held_.back();
+  const bool video =
+      std::any_of(held_.begin(), held_.end(), [](const Held& h) { return !h.keyframe; });
+  reason_ = "waiting for a second keyframe";
   std::vector<Pair> accepted;
   double most_explained = 0;
   for (std::size_t h = 0; h + 1 < held_.size(); ++h) {
     if (!held_[h].keyframe) continue;
+    // Two views near in time agree with nearly any motion: a video has more to say.
+    if (video && held_.size() - h < kLeastFrames) continue;
     Pair pair;
     pair.first = h;
     std::vector<PixelPair> pixels;
@@ -106,6 +113,7 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
   const Pose T_first_newest(motion.T_a_b.rotation(), scale * motion.T_a_b.translation());
   const double span = static_cast<double>(held_.size() - 1 - pair.first);
   const ResectSettings settings = resect_settings(options);
+  int judges = 0;
   const auto locate = [&](std::size_t h, const auto& point_of) {
     std::vector<PointView> views;
     for (const TrackObservation& o : held_[h].observations) {
@@ -119,7 +127,10 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
     // What the frame says about the hypothesis: its mean squared error, outliers at the limit.
     const double max2 = options.max_error_px * options.max_error_px;
     const auto n = static_cast<double>(views.size());
-    if (n > 0) *cost += (r.inliers * r.mse_px2 + (n - r.inliers) * max2) / n;
+    if (n > 0) {
+      *cost += (r.inliers * r.mse_px2 + (n - r.inliers) * max2) / n;
+      ++judges;
+    }
     return r;
   };
   const auto start_point = [&](TrackId id) -> const Eigen::Vector3d* {
@@ -182,6 +193,7 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
     const Pose& T = map.keyframes[static_cast<std::size_t>(k)].T_world_camera;
     started.frames.push_back({held_[h].id, held_[h].time_ns, k, T.inverse() * r.T_world_camera});
   }
+  *cost /= std::max(1, judges);
   return started;
 }
 
@@ -208,9 +220,19 @@ std::optional<StartedMap> Starter::attempt(const Camera& camera, int segment,
       reason_ = "a plane with two explanations: waiting for a view that tells them apart";
       return std::nullopt;
     }
-    if (rival && (!started || rival_cost < cost)) started = std::move(rival);
+    if (rival && (!started || rival_cost < cost)) {
+      started = std::move(rival);
+      cost = rival_cost;
+    }
   }
-  if (!started) reason_ = "the first points do not hold together";
+  if (!started) {
+    reason_ = "the first points do not hold together";
+    return std::nullopt;
+  }
+  if (cost > kMostOutliers * options.max_error_px * options.max_error_px) {
+    reason_ = "a part of the image moves differently from the rest";
+    return std::nullopt;
+  }
   return started;
 }
 

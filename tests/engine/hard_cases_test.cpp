@@ -113,7 +113,8 @@ TEST(HardCases, Swapped) { Disturbance d; d.swapped_every = 9; fly(100, d); }
 TEST(HardCases, Focal1) { Disturbance d; d.focal = 1.01; fly(120, d); }
 TEST(HardCases, Focal10) { Disturbance d; d.focal = 1.1; fly(120, d); }
 TEST(HardCases, Focal90) { Disturbance d; d.focal = 0.9; fly(120, d); }
-TEST(HardCases, Patch) { Disturbance d; d.patch = true; fly(120, d); }
+TEST(HardCases, Patch) { Disturbance d; d.patch_from = 0; fly(80, d); }
+TEST(HardCases, PatchLater) { Disturbance d; d.patch_from = 40; fly(100, d); }
 
 }  // namespace
 }  // namespace corvid

@@ -28,7 +28,7 @@ struct Disturbance {
   double brighter = 1;                       ///< by this factor; bright parts saturate
   std::optional<std::size_t> kidnapped_at;   ///< from here on the camera is elsewhere,
   std::size_t kidnapped_by = 0;              ///< so many frames ahead on its path
-  bool patch = false;                        ///< textured, over a third of the image, moving
+  std::optional<std::size_t> patch_from;     ///< a third of the image moves on its own from here on
   double focal = 1;                          ///< factor on the focal length that is told
   std::uint64_t seed = 1;                    ///< of what is missing and of the patch
   /// Instead of the flight's own pose, by the number of the frame.
@@ -48,6 +48,7 @@ class DisturbedFlight final : public FrameSource {
       camera->fy_px *= disturbance_.focal;
       info_.camera = camera;
     }
+    if (disturbance_.patch_from) patch_ = flight_.render(0)->grey;
     Random coin(disturbance_.seed);
     for (std::size_t i = 0; i < frames; ++i) {
       if (coin.uniform() < disturbance_.missing) continue;
@@ -107,30 +108,26 @@ class DisturbedFlight final : public FrameSource {
       for (std::size_t p = 0; p < frame->grey.size(); ++p)
         frame->grey.data()[p] = static_cast<std::uint8_t>(
             std::min(255.0, std::round(disturbance_.brighter * frame->grey.data()[p])));
-    if (disturbance_.patch) paste_patch(i, frame->grey);
+    if (disturbance_.patch_from && i >= *disturbance_.patch_from) paste_patch(i, frame->grey);
     return frame;
   }
 
-  /// Blocks of random grey, two thirds of the width times half of the height, that swing through
-  /// the image as one thing.
+  /// A piece of another picture, two thirds of the width times half of the height, that swings
+  /// through the image as one thing.
   void paste_patch(std::size_t i, GreyImage& image) const {
-    constexpr int kBlockPx = 5;
     const int width = image.width() * 2 / 3, height = image.height() / 2;
     const double t = static_cast<double>(i);
-    const int left = static_cast<int>((image.width() - width) * (0.5 + 0.5 * std::sin(0.05 * t)));
-    const int top = static_cast<int>((image.height() - height) * (0.5 + 0.5 * std::sin(0.031 * t)));
+    const int left = static_cast<int>((image.width() - width) * (0.5 + 0.5 * std::sin(0.15 * t)));
+    const int top = static_cast<int>((image.height() - height) * (0.5 + 0.5 * std::sin(0.09 * t)));
     for (int y = 0; y < height; ++y)
-      for (int x = 0; x < width; ++x) {
-        const auto block = static_cast<std::uint64_t>(y / kBlockPx * 10007 + x / kBlockPx);
-        image(left + x, top + y) =
-            static_cast<std::uint8_t>(40 + mix64(disturbance_.seed + block) % 160);
-      }
+      for (int x = 0; x < width; ++x) image(left + x, top + y) = patch_(x, y + height);
   }
 
   Disturbance disturbance_;
   SyntheticFlight flight_;
   SourceInfo info_;
   std::vector<std::size_t> order_;
+  GreyImage patch_;
   Trajectory truth_;
   std::size_t given_ = 0;
 };
