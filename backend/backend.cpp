@@ -55,6 +55,7 @@ struct Backend::Impl {
   void add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event);
   void judge(double visible, bool odd, PoseEvent* event) const;
   [[nodiscard]] bool residuals_are_odd(double mse_px2);
+  void doubt_motion(bool odd, const Pose& T_world_camera);
   void learn_focal();
   void insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,
                        const Resection& r);
@@ -86,6 +87,9 @@ struct Backend::Impl {
   std::vector<FrameRecord> frames;
   std::size_t segment_first_frame = 0;  ///< in `frames`
   FramePtr newest_frame;
+  int odd_frames = 0;                                        ///< in a row
+  Eigen::Vector2d recent_motion = Eigen::Vector2d::Zero();   ///< in them [map units, rad]
+  Eigen::Vector2d doubted_motion = Eigen::Vector2d::Zero();  ///< since the segment's start
   std::deque<double> residuals;  ///< mean squares of the segment's last frames [px^2]
   int lost_frames = 0;
   FocalBelief focal;
@@ -157,6 +161,8 @@ void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
   mode = Mode::tracking;
   lost_frames = 0;
   residuals.clear();
+  odd_frames = 0;
+  doubted_motion.setZero();
   learn_focal();
   publish_map();
 
@@ -275,9 +281,25 @@ bool Backend::Impl::residuals_are_odd(double mse_px2) {
   const double large_px = kShareOfLargest * options.max_error_px;
   const bool odd = residuals.size() >= kLeast && mse_px2 > large_px * large_px &&
                    mse_px2 > kTimes * median({residuals.begin(), residuals.end()});
-  residuals.push_back(mse_px2);
+  if (!odd) residuals.push_back(mse_px2);
   if (residuals.size() > kFrames) residuals.pop_front();
   return odd;
+}
+
+/// What the camera does while residuals are odd for some time may be what something else does: it
+/// counts as unknown, for as long as the segment lasts.
+void Backend::Impl::doubt_motion(bool odd, const Pose& T_world_camera) {
+  constexpr int kLeast = 3;
+  if (!odd) {
+    odd_frames = 0;
+    return;
+  }
+  const Vector6d step = (pose_of(frames.back()).inverse() * T_world_camera).log();
+  const Eigen::Vector2d moved(step.head<3>().norm(), step.tail<3>().norm());
+  recent_motion = odd_frames == 0 ? moved : Eigen::Vector2d(recent_motion + moved);
+  ++odd_frames;
+  if (odd_frames == kLeast) doubted_motion += recent_motion;
+  if (odd_frames > kLeast) doubted_motion += moved;
 }
 
 /// That of the newest keyframe, carried over to a frame, and what its own resection adds.
@@ -348,7 +370,10 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   const bool odd = residuals_are_odd(r.mse_px2);
   judge(visible, odd, event);
   // What makes residuals larger than they were is no noise: all observations are worth one.
-  const Matrix6d doubt = odd ? Matrix6d(r.inliers * r.covariance) : Matrix6d::Zero();
+  doubt_motion(odd, r.T_world_camera);
+  Matrix6d doubt = odd ? Matrix6d(r.inliers * r.covariance) : Matrix6d::Zero();
+  doubt.diagonal().head<3>().array() += doubted_motion.x() * doubted_motion.x();
+  doubt.diagonal().tail<3>().array() += doubted_motion.y() * doubted_motion.y();
   if (tracks.keyframe) {
     insert_keyframe(tracks, outliers, r);
     event->T_world_camera = map.keyframes.back().T_world_camera;

@@ -164,11 +164,13 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
   }
   const int keyframes = static_cast<int>(map.keyframes.size());
   constexpr int kRounds = 2;
+  BackendOptions thorough = options;  // all that comes hangs on this one
+  thorough.max_iterations *= 3;
   for (int round = 0; round < kRounds; ++round) {
     for (int k = 0; k < keyframes; ++k) {
       map.triangulate_tracks(k, options.min_angle_rad, options.max_error_px);
     }
-    if (!adjust_window(map, 0, keyframes, options, threads, {})) return std::nullopt;
+    if (!adjust_window(map, 0, keyframes, thorough, threads, {})) return std::nullopt;
   }
   int live = 0;
   for (const TrackId id : map.keyframes.back().tracks) {

@@ -24,7 +24,8 @@ struct PoseEvent {
   TrackingState state = TrackingState::starting;
   std::string reason;                  ///< why, if the state is not `tracking`
   std::optional<Pose> T_world_camera;  ///< absent while starting or lost
-  /// Of the pose's right perturbation (rho, phi) [map units, rad]; zero if there is no pose.
+  /// Of the pose's right perturbation (rho, phi) [map units, rad], relative to the segment's start
+  /// and in its scale, drift of both included; zero if there is no pose.
   Matrix6d covariance = Matrix6d::Zero();
   int tracks = 0;      ///< image tracks in this frame
   int inliers = 0;     ///< landmarks that agree with the pose
