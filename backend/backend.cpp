@@ -27,6 +27,14 @@ constexpr int kMaxStrikes = 3;         ///< frames in a row in which a track may
 constexpr int kIntrinsicsFrom = 6;     ///< keyframes before intrinsics are refined
 constexpr int kIntrinsicsUntil = 30;   ///< keyframes after which windows leave them alone
 
+/// Factor on the covariance of a pose that rests on a small part of what is tracked: when the world
+/// agrees, 70 % and more do.
+double unexplained(const PoseEvent& event) {
+  constexpr double kUsualShare = 0.7;
+  const double times = kUsualShare * event.tracks / std::max(1, event.inliers);
+  return std::max(1.0, times * times);
+}
+
 double median(std::vector<double> values) {
   if (values.empty()) return 0;
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
@@ -181,6 +189,7 @@ void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
     sum += e2;
   }
   event->mse_px2 = event->inliers > 0 ? sum / event->inliers : 0;
+  event->covariance *= unexplained(*event);
   judge(static_cast<double>(seen.points.size()), false, event);
 }
 
@@ -378,6 +387,7 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
     insert_keyframe(tracks, outliers, r);
     event->T_world_camera = map.keyframes.back().T_world_camera;
     event->covariance = map.keyframes.back().drift.pose_covariance(focal.square()) + doubt;
+    event->covariance *= unexplained(*event);
     return;
   }
   const MapKeyframe& reference = map.keyframes.back();
@@ -386,6 +396,7 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
                     static_cast<int>(map.keyframes.size()) - 1, T_keyframe_frame});
   event->T_world_camera = r.T_world_camera;
   event->covariance = drift_of(r).pose_covariance(focal.square()) + doubt;
+  event->covariance *= unexplained(*event);
 }
 
 IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
