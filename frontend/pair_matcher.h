@@ -20,6 +20,8 @@
 
 namespace corvid {
 
+class PairSearch;
+
 /// One image made ready for matching: its pyramid, and the points that are looked for elsewhere
 /// when it is the reference.
 struct MatchView {
@@ -118,10 +120,9 @@ class PairMatcher {
                                   const PairKnowledge& known = {});
 
  private:
-  struct Impl;
   class Run;
-  explicit PairMatcher(std::unique_ptr<Impl> impl);
-  std::unique_ptr<Impl> impl_;
+  explicit PairMatcher(std::unique_ptr<PairSearch> search);
+  std::unique_ptr<PairSearch> search_;
 };
 
 }  // namespace corvid
