@@ -11,6 +11,7 @@
 #include "backend/start.h"
 #include "backend/window.h"
 #include "core/check.h"
+#include "core/median.h"
 #include "core/stopwatch.h"
 
 namespace corvid {
@@ -22,13 +23,6 @@ constexpr double kGoodShare = 0.4;    ///< fewer: degraded
 constexpr int kMaxStrikes = 3;        ///< frames in a row in which a track may disagree
 constexpr int kIntrinsicsFrom = 6;    ///< keyframes before intrinsics are refined
 constexpr int kIntrinsicsUntil = 30;  ///< keyframes after which windows leave them alone
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 }  // namespace
 
@@ -208,7 +202,7 @@ bool Backend::Impl::jumps(const Resection& r, std::size_t points, std::int64_t t
   const double speed =
       (r.T_world_camera.translation() - pose_of(frames.back()).translation()).norm() / dt;
   // A hovering camera may start to move: speeds far below one scene depth per 10 s are no jump.
-  return speed > kTimesFaster * std::max(median(std::move(speeds)), 0.01 * median_depth);
+  return speed > kTimesFaster * std::max(upper_median(std::move(speeds)), 0.01 * median_depth);
 }
 
 void Backend::Impl::add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event) {
@@ -264,7 +258,7 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
       if (++track.strikes >= kMaxStrikes) track.dead = true;
     }
   }
-  median_depth = median(std::move(depths));
+  median_depth = upper_median(std::move(depths));
 
   event->inliers = r.inliers;
   event->mse_px2 = r.mse_px2;
@@ -323,7 +317,7 @@ IntrinsicsPolicy Backend::Impl::final_intrinsics_policy() const {
 
 /// Intrinsics and a flat fan of rays cannot be told apart.
 bool Backend::Impl::wide_enough(std::vector<double> ray_angles_rad) const {
-  return median(std::move(ray_angles_rad)) > 2 * options.start_min_parallax_rad;
+  return upper_median(std::move(ray_angles_rad)) > 2 * options.start_min_parallax_rad;
 }
 
 void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,

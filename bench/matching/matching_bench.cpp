@@ -172,8 +172,7 @@ Expected<void> run_matching_bench(const std::shared_ptr<Device>& device,
                 fmt::format("{} pairs, {} runs of each work", options.pairs, options.runs),
                 "matching bench", "at least 3 pairs and 1 run");
   }
-  cv::setNumThreads(-1);  // as many as OpenCV takes by itself
-  auto machine = opening_on_device(*device, [&] { return bench_machine(*device); });
+  auto machine = bench_machine(*device);
   if (!machine) return tl::unexpected(machine.error());
   report.machine = std::move(*machine);
   Expected<void> done;
