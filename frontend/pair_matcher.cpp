@@ -197,9 +197,9 @@ class PairMatcher::Run {
     MatchSets more = search_.candidate_sets(reference_, target_, strips, large, weak_);
     for (std::size_t k = 0; k < slots.size(); ++k) {
       MatchSets::Point& point = sets_.points[slots[k]];
-      const Withdrawn before = point.last_withdrawn;
-      point = std::move(more.points[k]);
-      point.last_withdrawn = before;
+      MatchSets::Point before = std::exchange(point, std::move(more.points[k]));
+      point.last_withdrawn = before.last_withdrawn;
+      point.refused.insert(point.refused.end(), before.refused.begin(), before.refused.end());
     }
     lap("strips");
     told =
@@ -300,6 +300,7 @@ class PairMatcher::Run {
       const MatchSets::Point& point = sets_.points[i];
       const std::size_t k = queries_[i].point;
       candidates_[k].clear();
+      if (point.candidates.empty()) candidates_[k] = point.refused;
       for (const SearchCandidate& candidate : point.candidates)
         candidates_[k].push_back(candidate.pixel);
       if (!point.candidates.empty())

@@ -54,7 +54,8 @@ enum class NoMatch {
 struct UnmatchedPoint {
   std::size_t point = 0;
   NoMatch reason = NoMatch::no_candidate;
-  std::vector<Eigen::Vector2d> candidates;  ///< those that were left [px]
+  /// Those that were left or, if there are none, those that were refused [px, distorted].
+  std::vector<Eigen::Vector2d> candidates;
 };
 
 /// What matching two images gave.

@@ -10,6 +10,7 @@
 #include "frontend/align.h"
 #include "frontend/disambiguate/weak_corners.h"
 #include "frontend/epipolar.h"
+#include "frontend/spread_corners.h"
 
 namespace corvid {
 namespace {
@@ -80,19 +81,11 @@ std::shared_ptr<const DevicePyramid> PairSearch::pyramid(const GreyImage& image,
 std::vector<Eigen::Vector2d> PairSearch::detect(const DevicePyramid& pyramid, int level, int most,
                                                 std::span<const Eigen::Vector2d> occupied) {
   const DeviceImage& image = pyramid.level(level);
-  const double area = static_cast<double>(image.width_px) * image.height_px;
-  const double spacing_px = std::sqrt(area / most);
   std::vector<Eigen::Vector2f> taken;
   for (const Eigen::Vector2d& x : occupied) taken.push_back(x.cast<float>());
-  CornerOptions corner_options;
+  CornerOptions corner_options = spread_corners(image, most, options_.template_px, taken);
   corner_options.quality = options_.corner_quality;
   corner_options.kappa = options_.harris_kappa;
-  corner_options.cell_px = std::max(8, static_cast<int>(1.5 * spacing_px));
-  corner_options.max_per_cell = 3;
-  corner_options.max_count = std::max(0, most - static_cast<int>(occupied.size()));
-  corner_options.border_px = options_.template_px / 2 + 2;
-  corner_options.occupied = taken;
-  corner_options.min_distance_px = std::max(4.0, 0.5 * spacing_px);
   std::vector<Eigen::Vector2d> points;
   for (const Corner& corner : corners_.detect(image, corner_options))
     points.push_back(Eigen::Vector2d(corner.x_px, corner.y_px) * std::ldexp(1.0, level));
@@ -220,40 +213,22 @@ MatchSets PairSearch::candidate_sets(const MatchView& reference, const MatchView
                                      std::span<const PairQuery> queries, const PairMeasure& measure,
                                      std::vector<bool>& weak) {
   auto candidates = search(reference, target, reference.points, queries, 0, measure);
-  std::vector<Eigen::Vector2f> x_r, x_t;
-  for (std::size_t i = 0; i < queries.size(); ++i) {
-    x_r.push_back(reference.points[queries[i].point].cast<float>());
-    for (const SearchCandidate& candidate : candidates[i])
-      x_t.push_back(candidate.pixel.cast<float>());
-  }
-  const auto score_r = corners_.score_at(reference.pyramid->level(0), x_r, options_.harris_kappa);
-  const DeviceImage& image = target.pyramid->level(0);
-  const auto score_t = corners_.score_at(image, x_t, options_.harris_kappa);
-  // Corner scores go with the square of the exposure: they are compared after the typical ratio.
-  std::vector<double> ratios;
-  for (std::size_t i = 0, k = 0; i < queries.size(); k += candidates[i++].size())
-    if (!candidates[i].empty() && score_t[k].lambda_min > 0)
-      ratios.push_back(score_r[i].lambda_min / score_t[k].lambda_min);
-  double exposure = 1;
-  if (!ratios.empty()) {
-    const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
-    std::nth_element(ratios.begin(), middle, ratios.end());
-    if (*middle > 0) exposure = *middle;
-  }
+  std::vector<Eigen::Vector2d> x_r;
+  for (const PairQuery& query : queries) x_r.push_back(reference.points[query.point]);
+  const auto weak_candidates =
+      take_weak_corners(corners_, reference.pyramid->level(0), target.pyramid->level(0), 0, x_r,
+                        options_.harris_kappa, options_.corner_score_ratio, candidates);
   MatchSets sets;
   sets.points.resize(queries.size());
-  std::size_t next = 0;
   for (std::size_t i = 0; i < queries.size(); ++i) {
     MatchSets::Point& point = sets.points[i];
-    const auto undistorted = undistort_pixel(reference.camera, reference.points[queries[i].point]);
-    point.x_r = undistorted.value_or(reference.points[queries[i].point]);
+    for (const SearchCandidate& candidate : weak_candidates[i]) {
+      weak[queries[i].point] = true;
+      point.refused.push_back(candidate.pixel);
+    }
+    const auto undistorted = undistort_pixel(reference.camera, x_r[i]);
+    point.x_r = undistorted.value_or(x_r[i]);
     for (const SearchCandidate& candidate : candidates[i]) {
-      const std::size_t k = next++;
-      if (is_weak_corner(score_r[i].lambda_min, score_t[k].lambda_min, x_t[k], image.width_px,
-                         image.height_px, exposure * options_.corner_score_ratio)) {
-        weak[queries[i].point] = true;
-        continue;
-      }
       const auto pixel = undistort_pixel(target.camera, candidate.pixel);
       if (!undistorted || !pixel) continue;
       point.candidates.push_back(candidate);
@@ -273,6 +248,7 @@ std::vector<AuxiliaryView> PairSearch::third_views(const MatchView& reference,
     AuxiliaryView view;
     view.F_auxiliary_reference = third.F_auxiliary_reference;
     view.F_auxiliary_target = third.F_auxiliary_target;
+    view.peak_quality = options_.peak_quality;
     PairPlaces matched;
     for (const PairQuery& query : queries) {
       const auto& x_a = third.x_a[query.point];
