@@ -23,12 +23,14 @@ constexpr double kGoodShare = 0.4;    ///< fewer: degraded
 constexpr int kMaxStrikes = 3;        ///< frames in a row in which a track may disagree
 constexpr int kIntrinsicsFrom = 6;    ///< keyframes before intrinsics are refined
 constexpr int kIntrinsicsUntil = 30;  ///< keyframes after which windows leave them alone
+/// Keyframes at which the distortion alone is refined.
+constexpr std::array kDistortionAt{6, 9, 13, 20, 30};
 
 }  // namespace
 
 struct Backend::Impl {
-  Impl(const BackendOptions& o, bool refine_intrinsics, int thread_count)
-      : options(o), refine(refine_intrinsics), threads(thread_count) {
+  Impl(const BackendOptions& o, IntrinsicsOrigin intrinsics, int thread_count)
+      : options(o), origin(intrinsics), threads(thread_count) {
     if (threads <= 0) threads = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   }
 
@@ -59,7 +61,8 @@ struct Backend::Impl {
   void lap(const char* part) { timings.emplace_back(part, watch.lap_ms()); }
 
   BackendOptions options;
-  bool refine;
+  IntrinsicsOrigin origin;
+  IntrinsicsFreedom freedom = IntrinsicsFreedom::fixed;  ///< of the first frame's camera
   int threads;
 
   enum class Mode { starting, tracking } mode = Mode::starting;
@@ -87,8 +90,8 @@ PoseEvent Backend::Impl::add(const FrameTracks& tracks) {
   timings.clear();
   watch = Stopwatch();
   if (!have_camera) {
-    prior = *tracks.frame->camera;
-    if (refine && prior.model == CameraModel::pinhole) prior.model = CameraModel::radtan;
+    freedom = intrinsics_freedom(options.intrinsics, origin, *tracks.frame->camera);
+    prior = adjustable(*tracks.frame->camera, freedom);
     map.camera = prior;
     have_camera = true;
   }
@@ -287,10 +290,18 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   event->covariance = r.covariance + Ad * reference.covariance * Ad.transpose();
 }
 
+/// For the adjustment after a new keyframe, while the intrinsics settle.
 IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
   IntrinsicsPolicy policy;
   policy.prior = prior;
-  if (!refine || segment_keyframes() < kIntrinsicsFrom) return policy;
+  const int n = segment_keyframes();
+  if (n < kIntrinsicsFrom || n > kIntrinsicsUntil) return policy;
+  if (freedom == IntrinsicsFreedom::distortion) {
+    // adjust_window() itself refuses what is not beyond doubt; a few attempts are enough.
+    if (std::find(kDistortionAt.begin(), kDistortionAt.end(), n) != kDistortionAt.end())
+      policy.freedom = freedom;
+    return policy;
+  }
   std::vector<double> angles;
   for (const TrackId id : map.keyframes.back().tracks) {
     const auto it = map.tracks.find(id);
@@ -298,7 +309,7 @@ IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
       angles.push_back(it->second.max_ray_angle_rad);
     }
   }
-  policy.refine = wide_enough(std::move(angles));
+  if (wide_enough(std::move(angles))) policy.freedom = freedom;
   return policy;
 }
 
@@ -306,12 +317,13 @@ IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
 IntrinsicsPolicy Backend::Impl::final_intrinsics_policy() const {
   IntrinsicsPolicy policy;
   policy.prior = prior;
-  if (!refine || map.keyframes.size() < static_cast<std::size_t>(kIntrinsicsFrom)) return policy;
+  if (map.keyframes.size() < static_cast<std::size_t>(kIntrinsicsFrom)) return policy;
   std::vector<double> angles;
   for (const auto& [id, track] : map.tracks) {
     if (track.landmark) angles.push_back(track.max_ray_angle_rad);
   }
-  policy.refine = wide_enough(std::move(angles));
+  if (freedom == IntrinsicsFreedom::distortion || wide_enough(std::move(angles)))
+    policy.freedom = freedom;
   return policy;
 }
 
@@ -340,13 +352,12 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
   map.triangulate_tracks(k, options.min_angle_rad, options.max_error_px);
   lap("backend/triangulate");
   // While the intrinsics settle everything moves with them; later they stay, and so does the past.
-  IntrinsicsPolicy policy = intrinsics_policy();
-  int count = options.window_keyframes;
-  if (refine && segment_keyframes() <= kIntrinsicsUntil) {
-    count = segment_keyframes();
-  } else {
-    policy.refine = false;
-  }
+  const IntrinsicsPolicy policy = intrinsics_policy();
+  const bool settling =
+      freedom == IntrinsicsFreedom::all && segment_keyframes() <= kIntrinsicsUntil;
+  const int count = settling || policy.freedom != IntrinsicsFreedom::fixed
+                        ? segment_keyframes()
+                        : options.window_keyframes;
   adjust_window(map, segment_first, count, options, threads, policy);
   map.forget_tracks(k - options.window_keyframes);
   lap("backend/adjust");
@@ -366,7 +377,7 @@ void Backend::Impl::publish_motion(const FrameTracks& tracks) {
     const std::size_t all = map.keyframes.size(), first = static_cast<std::size_t>(segment_first);
     for (std::size_t k = std::max(first, all > kept ? all - kept : 0); k < all; ++k)
       motion->keyframes.emplace_back(map.keyframes[k].frame->id, map.keyframes[k].T_world_camera);
-    if (refine) motion->camera = published_map->camera;
+    if (freedom != IntrinsicsFreedom::fixed) motion->camera = published_map->camera;
   }
   for (const TrackObservation& o : tracks.observations) {
     const auto it = map.tracks.find(o.track);
@@ -382,8 +393,8 @@ void Backend::Impl::publish_motion(const FrameTracks& tracks) {
 
 void Backend::Impl::publish_map() { published_map = map.snapshot(++version); }
 
-Backend::Backend(const BackendOptions& options, bool refine_intrinsics, int threads)
-    : impl_(std::make_unique<Impl>(options, refine_intrinsics, threads)) {
+Backend::Backend(const BackendOptions& options, IntrinsicsOrigin origin, int threads)
+    : impl_(std::make_unique<Impl>(options, origin, threads)) {
   const auto problems = options.validate();
   CORVID_CHECK(problems.empty(), problems.front());
 }

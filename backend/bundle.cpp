@@ -49,7 +49,9 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   poses.reserve(problem.T_world_camera.size());
   for (const Pose& T : problem.T_world_camera) poses.push_back(to_block(T));
   std::vector<Eigen::Vector3d> points = problem.points;
-  const Camera reference = settings.refine_intrinsics ? settings.intrinsics_prior : problem.camera;
+  const bool refine = settings.freedom != IntrinsicsFreedom::fixed;
+  const bool distortion_only = settings.freedom == IntrinsicsFreedom::distortion;
+  const Camera reference = refine ? settings.intrinsics_prior : problem.camera;
   IntrinsicsBlock intrinsics = intrinsics_block(problem.camera, reference);
   const double sigma = median_sigma(problem.observations);
 
@@ -59,7 +61,9 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   std::deque<ReprojectionCost> costs;
   std::deque<IntrinsicsReprojectionCost> intrinsics_costs;
   std::deque<DistanceCost> distances;
-  const IntrinsicsPriorCost prior(intrinsics_block(reference, reference), sigma);
+  const IntrinsicsPriorCost prior(intrinsics_block(reference, reference),
+                                  sigma / (distortion_only ? 0.02 : 0.1));
+  ceres::SubsetManifold focal_fixed(3, {0});
 
   ceres::Problem::Options options;
   options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -91,7 +95,7 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
     double* const pose = poses[static_cast<std::size_t>(o.pose)].data();
     double* const point = points[static_cast<std::size_t>(o.point)].data();
     const double weight = sigma / o.sigma_px;
-    if (settings.refine_intrinsics) {
+    if (refine) {
       intrinsics_costs.emplace_back(&reference, o.pixel, weight);
       ceres_problem.AddResidualBlock(&intrinsics_costs.back(), &loss, pose, point,
                                      intrinsics.data());
@@ -103,9 +107,10 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   for (std::size_t i = points.size(); i-- > 0;) {
     if (!ceres_problem.HasParameterBlock(points[i].data())) ordering->Remove(points[i].data());
   }
-  if (settings.refine_intrinsics) {
+  if (refine) {
     ceres_problem.AddResidualBlock(const_cast<IntrinsicsPriorCost*>(&prior), nullptr,
                                    intrinsics.data());
+    if (distortion_only) ceres_problem.SetManifold(intrinsics.data(), &focal_fixed);
     ordering->AddElementToGroup(intrinsics.data(), 1);
   }
   for (const auto& [a, b] : problem.hold_distance) {
@@ -145,7 +150,7 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   for (const auto& point : points) {
     if (!point.allFinite()) return result;
   }
-  if (settings.refine_intrinsics) {
+  if (refine) {
     const Camera camera = apply_intrinsics(reference, intrinsics.data());
     if (!camera.validate().empty()) return result;
     problem.camera = camera;

@@ -159,14 +159,13 @@ bool DistanceCost::Evaluate(const double* const* parameters, double* residuals,
 
 bool IntrinsicsPriorCost::Evaluate(const double* const* parameters, double* residuals,
                                    double** jacobians) const {
-  constexpr double kSigma = 0.1;
   for (int i = 0; i < 3; ++i) {
     const auto k = static_cast<std::size_t>(i);
-    residuals[i] = weight_ * (parameters[0][i] - mean_[k]) / kSigma;
+    residuals[i] = weight_ * (parameters[0][i] - mean_[k]);
   }
   if (jacobians != nullptr && jacobians[0] != nullptr) {
     Eigen::Map<RowMajor<3, 3>> J(jacobians[0]);
-    J = Eigen::Matrix3d::Identity() * (weight_ / kSigma);
+    J = Eigen::Matrix3d::Identity() * weight_;
   }
   return true;
 }

@@ -78,7 +78,7 @@ class DistanceCost final : public ceres::SizedCostFunction<1, 7, 7> {
   double weight_;
 };
 
-/// Gaussian prior on an IntrinsicsBlock: focal length to 10 %, k1 and k2 to 0.1.
+/// Gaussian prior on an IntrinsicsBlock: (block - mean) * weight.
 class IntrinsicsPriorCost final : public ceres::SizedCostFunction<3, 3> {
  public:
   IntrinsicsPriorCost(const IntrinsicsBlock& mean, double weight) : mean_(mean), weight_(weight) {}

@@ -70,6 +70,9 @@ struct BackendOptions {
   int max_iterations = 10;               ///< of one window adjustment
   int min_inliers = 20;                  ///< fewer agreeing landmarks: lost
   bool final_adjustment = true;          ///< adjust everything once more at the end of the run
+  /// Intrinsics that are estimated, too: auto, fixed, distortion (k1, k2) or all (focal length, k1,
+  /// k2). auto: all without a calibration, distortion where the calibration has none, else fixed.
+  std::string intrinsics = "auto";
   std::uint64_t seed = 1;                ///< of RANSAC
   [[nodiscard]] std::vector<std::string> validate() const;
 };

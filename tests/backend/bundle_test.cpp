@@ -109,7 +109,7 @@ TEST(Bundle, IntrinsicsAreFound) {
   const Camera truth = c.truth.camera;
   BundleSettings settings;
   settings.max_iterations = 60;
-  settings.refine_intrinsics = true;
+  settings.freedom = IntrinsicsFreedom::all;
   settings.intrinsics_prior = truth;
   settings.intrinsics_prior.fx_px *= 1.03;
   settings.intrinsics_prior.fy_px *= 1.03;
