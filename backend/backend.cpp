@@ -295,8 +295,9 @@ IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
   IntrinsicsPolicy policy;
   policy.prior = prior;
   const int n = segment_keyframes();
-  if (n < kIntrinsicsFrom || n > kIntrinsicsUntil) return policy;
-  if (freedom == IntrinsicsFreedom::distortion) {
+  if (freedom == IntrinsicsFreedom::fixed || n < kIntrinsicsFrom || n > kIntrinsicsUntil)
+    return policy;
+  if (freedom == IntrinsicsFreedom::radial) {
     // adjust_window() itself refuses what is not beyond doubt; a few attempts are enough.
     if (std::find(kDistortionAt.begin(), kDistortionAt.end(), n) != kDistortionAt.end())
       policy.freedom = freedom;
@@ -309,7 +310,7 @@ IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
       angles.push_back(it->second.max_ray_angle_rad);
     }
   }
-  if (wide_enough(std::move(angles))) policy.freedom = freedom;
+  if (wide_enough(std::move(angles))) policy.freedom = IntrinsicsFreedom::focal;
   return policy;
 }
 
@@ -322,7 +323,7 @@ IntrinsicsPolicy Backend::Impl::final_intrinsics_policy() const {
   for (const auto& [id, track] : map.tracks) {
     if (track.landmark) angles.push_back(track.max_ray_angle_rad);
   }
-  if (freedom == IntrinsicsFreedom::distortion || wide_enough(std::move(angles)))
+  if (freedom == IntrinsicsFreedom::radial || wide_enough(std::move(angles)))
     policy.freedom = freedom;
   return policy;
 }

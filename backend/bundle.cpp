@@ -37,6 +37,27 @@ double median_sigma(const std::vector<BundleObservation>& observations) {
   return *middle;
 }
 
+/// One over the prior's standard deviations: a tenth of the focal length, a fiftieth of it for the
+/// principal point, and for the distortion what lenses have, or what rectification leaves.
+IntrinsicsBlock prior_weights(IntrinsicsFreedom freedom, double sigma_px) {
+  const double k = freedom == IntrinsicsFreedom::radial ? 0.02 : 0.1;
+  IntrinsicsBlock weights{0.1, 0.02, 0.02, k, k, 0.01, 0.01, k};
+  for (double& w : weights) w = sigma_px / w;
+  return weights;
+}
+
+/// Positions in the block of the intrinsics that stay.
+std::vector<int> held_intrinsics(IntrinsicsFreedom freedom, CameraModel model) {
+  const bool distorts = model == CameraModel::radtan || model == CameraModel::equidistant;
+  std::vector<int> held;
+  if (freedom == IntrinsicsFreedom::radial) held.push_back(0);
+  if (freedom != IntrinsicsFreedom::all) held.insert(held.end(), {1, 2});
+  if (!distorts) held.insert(held.end(), {3, 4});
+  if (!distorts || freedom != IntrinsicsFreedom::all) held.insert(held.end(), {5, 6});
+  if (model != CameraModel::radtan || freedom != IntrinsicsFreedom::all) held.push_back(7);
+  return held;
+}
+
 }  // namespace
 
 BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
@@ -50,7 +71,6 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   for (const Pose& T : problem.T_world_camera) poses.push_back(to_block(T));
   std::vector<Eigen::Vector3d> points = problem.points;
   const bool refine = settings.freedom != IntrinsicsFreedom::fixed;
-  const bool distortion_only = settings.freedom == IntrinsicsFreedom::distortion;
   const Camera reference = refine ? settings.intrinsics_prior : problem.camera;
   IntrinsicsBlock intrinsics = intrinsics_block(problem.camera, reference);
   const double sigma = median_sigma(problem.observations);
@@ -62,8 +82,8 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   std::deque<IntrinsicsReprojectionCost> intrinsics_costs;
   std::deque<DistanceCost> distances;
   const IntrinsicsPriorCost prior(intrinsics_block(reference, reference),
-                                  sigma / (distortion_only ? 0.02 : 0.1));
-  ceres::SubsetManifold focal_fixed(3, {0});
+                                  prior_weights(settings.freedom, sigma));
+  ceres::SubsetManifold intrinsics_manifold(8, held_intrinsics(settings.freedom, reference.model));
 
   ceres::Problem::Options options;
   options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -110,7 +130,7 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   if (refine) {
     ceres_problem.AddResidualBlock(const_cast<IntrinsicsPriorCost*>(&prior), nullptr,
                                    intrinsics.data());
-    if (distortion_only) ceres_problem.SetManifold(intrinsics.data(), &focal_fixed);
+    ceres_problem.SetManifold(intrinsics.data(), &intrinsics_manifold);
     ordering->AddElementToGroup(intrinsics.data(), 1);
   }
   for (const auto& [a, b] : problem.hold_distance) {

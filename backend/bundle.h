@@ -34,8 +34,7 @@ struct BundleSettings {
   int threads = 1;
   double cost_tolerance =
       1e-5;  ///< stops when an iteration lowers the cost by less than this share
-  /// Intrinsics that are unknowns too: focal length and, for radtan and equidistant, k1 and k2;
-  /// weakly drawn to those of `intrinsics_prior` (10 %, 0.1, 0.1; k1 and k2 alone: 0.02).
+  /// Intrinsics that are unknowns too, weakly drawn to those of `intrinsics_prior`.
   IntrinsicsFreedom freedom = IntrinsicsFreedom::fixed;
   Camera intrinsics_prior;
 };

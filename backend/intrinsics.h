@@ -7,13 +7,18 @@
 
 namespace corvid {
 
-/// Which intrinsics an adjustment may change; k1 and k2 where the camera model has them.
-enum class IntrinsicsFreedom { fixed, distortion, all };
+/// Which intrinsics an adjustment may change, as far as the camera model has them.
+enum class IntrinsicsFreedom {
+  fixed,
+  radial,  ///< k1, k2
+  focal,   ///< focal length, k1, k2
+  all      ///< focal length, principal point, all of the distortion
+};
 
-/// What `backend.intrinsics` means for a camera: "fixed", "distortion" and "all" as they say;
-/// "auto": all where no calibration is known, and the distortion of a calibrated camera that claims
-/// to have none: images that were rectified keep some, and it bends the whole trajectory
-/// (docs/decisions/residual-distortion.md).
+/// What `backend.intrinsics` means for a camera: "fixed" and "all" as they say, "distortion":
+/// radial; "auto": all where no calibration is known, and radial for a calibrated camera that
+/// claims to have no distortion: images that were rectified keep some, and it bends the whole
+/// trajectory (docs/decisions/residual-distortion.md).
 [[nodiscard]] IntrinsicsFreedom intrinsics_freedom(std::string_view option, IntrinsicsOrigin origin,
                                                    const Camera& camera);
 

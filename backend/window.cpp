@@ -146,23 +146,23 @@ void estimate_covariance(MapData& map, const Part& part, double huber_px) {
       pose_covariance(part.problem, newest, huber_px) + Ad * a.covariance * Ad.transpose();
 }
 
-/// adjust(), with the distortion of a calibrated camera left alone unless what it explains is
-/// beyond doubt: over a plane seen from one side, distortion and a bent ground cannot be told
-/// apart.
+/// adjust(), with the last freedom of the intrinsics taken only where what it explains is beyond
+/// doubt: over a plane seen from one side, distortion and a bent ground cannot be told apart.
 bool adjust_part(BundleProblem& problem, const BundleSettings& settings) {
-  if (settings.freedom != IntrinsicsFreedom::distortion) return adjust(problem, settings).ok;
   constexpr double kLeastRatio = 100, kLeastShare = 0.01;
-  BundleSettings fixed = settings;
-  fixed.freedom = IntrinsicsFreedom::fixed;
-  if (!adjust(problem, fixed).ok) return false;
+  BundleSettings sure = settings;
+  if (settings.freedom == IntrinsicsFreedom::radial) sure.freedom = IntrinsicsFreedom::fixed;
+  if (settings.freedom == IntrinsicsFreedom::all) sure.freedom = IntrinsicsFreedom::focal;
+  if (!adjust(problem, sure).ok) return false;
+  if (sure.freedom == settings.freedom) return true;
   BundleProblem freed = problem;
   const BundleResult r = adjust(freed, settings);
   const double unknowns = 6.0 * static_cast<double>(problem.T_world_camera.size()) +
                           3.0 * static_cast<double>(problem.points.size());
   const double rows = 2.0 * static_cast<double>(problem.observations.size());
   const double explained = r.initial_cost - r.final_cost;
-  // Likelihood ratio of the two models: chi-square with 2 degrees of freedom if the distortion is
-  // right already and errors are independent; they are not quite, hence the margin.
+  // Likelihood ratio of the two models: chi-square with as many degrees of freedom as intrinsics
+  // were freed, if errors are independent; they are not quite, hence the margin.
   if (r.ok && explained * (rows - unknowns) > kLeastRatio * r.final_cost &&
       explained > kLeastShare * r.final_cost)
     problem = std::move(freed);
