@@ -4,28 +4,24 @@
 #include <algorithm>
 #include <filesystem>
 #include <memory>
-#include <optional>
-#include <ostream>
 #include <string>
 #include <system_error>
 #include <utility>
 #include <vector>
 
+#include "apps/bench_output.h"
 #include "apps/command_list.h"
-#include "apps/opencl_trouble.h"
 #include "apps/program_source.h"
 #include "apps/signal_guard.h"
 #include "bench/matching/matching_bench.h"
 #include "bench/ncc_bench.h"
 #include "core/log.h"
-#include "io/atomic_file.h"
 
 namespace corvid {
 namespace {
 
 struct NccArguments {
-  std::string device = "auto";
-  std::optional<std::string> json;
+  BenchOutput output;
   std::vector<int> templates_px, images_px;
   std::vector<std::string> tables;
   int runs = 0;
@@ -58,26 +54,17 @@ Expected<ExitCode> run_ncc(const NccArguments& arguments, Context& context) {
     error.hint = "`corvid bench ncc --help` shows what is possible";
     return tl::unexpected(std::move(error));
   }
-  if (arguments.json) {  // found out before minutes of measuring
-    if (auto writable = check_file_writable(*arguments.json); !writable)
-      return tl::unexpected(writable.error());
-  }
+  if (auto writable = arguments.output.check(); !writable) return tl::unexpected(writable.error());
   const SignalGuard signals;
-  auto device = open_explained([&] { return Device::open(arguments.device); });
+  auto device = arguments.output.open_device();
   if (!device) return tl::unexpected(device.error());
   NccReport report;
   const auto done = run_ncc_bench(*device, options, signals.token(), report);
-  // What was measured is kept, whatever happened after it.
-  print(report, context.out);
-  if (arguments.json) {
-    if (auto written = write_file_atomically(*arguments.json, json_rows(report)); !written)
-      return tl::unexpected(written.error());
-  }
-  if (!done) return tl::unexpected(done.error());
+  const auto kept = arguments.output.keep(report, done, context);
+  if (!kept) return kept;
   const std::vector<std::string> wrong = disagreements(report);
   for (const std::string& sentence : wrong) log().error("{}", sentence);
-  if (!wrong.empty()) return ExitCode::failure;
-  return report.interrupted ? ExitCode::interrupted : ExitCode::ok;
+  return wrong.empty() ? kept : ExitCode::failure;
 }
 
 Action add_ncc(CLI::App& group) {
@@ -87,10 +74,7 @@ Action add_ncc(CLI::App& group) {
   const NccBenchOptions defaults;
   std::vector<std::string> tables;
   for (const NccTable table : kNccTables) tables.emplace_back(to_string(table));
-  command->add_option("--json", a->json, "File for the rows, as a JSON array");
-  command->add_option("--device", a->device, "auto, cpu, gpu, or a number from `corvid doctor`")
-      ->envname("CORVID_DEVICE")
-      ->capture_default_str();
+  a->output.add_to(*command);
   command->add_flag("--quick", a->quick, "3 runs, images up to 1024 px");
   command->add_option("--runs", a->runs, fmt::format("Runs of each work [{}]", defaults.runs))
       ->check(CLI::Range(1, 10000));
@@ -122,8 +106,7 @@ struct MatchingArguments {
   std::vector<std::string> sources;
   SourceArguments reading;
   MatchingBenchOptions options;
-  std::string device = "auto";
-  std::optional<std::string> json;
+  BenchOutput output;
 };
 
 // The folder's or file's own name; the whole of `synthetic:...`.
@@ -135,11 +118,8 @@ std::string set_name(const std::string& spec) {
 }
 
 Expected<ExitCode> run_matching(const MatchingArguments& arguments, Context& context) {
-  if (arguments.json) {  // found out before minutes of measuring, as are wrong sources
-    if (auto writable = check_file_writable(*arguments.json); !writable)
-      return tl::unexpected(writable.error());
-  }
-  std::vector<MatchingSet> sets;
+  if (auto writable = arguments.output.check(); !writable) return tl::unexpected(writable.error());
+  std::vector<MatchingSet> sets;  // opened before minutes of measuring
   for (const std::string& spec : arguments.sources) {
     SourceArguments one = arguments.reading;
     one.spec = spec;
@@ -150,19 +130,11 @@ Expected<ExitCode> run_matching(const MatchingArguments& arguments, Context& con
     sets.push_back({set_name(spec), std::move(*source)});
   }
   const SignalGuard signals;
-  auto device = open_explained([&] { return Device::open(arguments.device); });
+  auto device = arguments.output.open_device();
   if (!device) return tl::unexpected(device.error());
   MatchingReport report;
   const auto done = run_matching_bench(*device, sets, arguments.options, signals.token(), report);
-  if (!done && report.rows.empty()) return tl::unexpected(done.error());
-  // What was measured is kept, whatever happened after it.
-  print(report, context.out);
-  if (arguments.json) {
-    if (auto written = write_file_atomically(*arguments.json, json_rows(report)); !written)
-      return tl::unexpected(written.error());
-  }
-  if (!done) return tl::unexpected(done.error());
-  return report.interrupted ? ExitCode::interrupted : ExitCode::ok;
+  return arguments.output.keep(report, done, context);
 }
 
 Action add_matching(CLI::App& group) {
@@ -174,10 +146,7 @@ Action add_matching(CLI::App& group) {
                    "Folders or files of images, or synthetic[:key=value,...]; each is a set")
       ->required();
   a->reading.add_reading_options_to(*command);
-  command->add_option("--json", a->json, "File for the rows, as a JSON array");
-  command->add_option("--device", a->device, "auto, cpu, gpu, or a number from `corvid doctor`")
-      ->envname("CORVID_DEVICE")
-      ->capture_default_str();
+  a->output.add_to(*command);
   command->add_option("--pairs", a->options.pairs, "Pairs of each set at most")
       ->check(CLI::Range(3, 100000))
       ->capture_default_str();

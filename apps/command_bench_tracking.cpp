@@ -1,25 +1,21 @@
 #include <CLI/CLI.hpp>
 #include <memory>
-#include <optional>
-#include <ostream>
 #include <string>
 #include <vector>
 
+#include "apps/bench_output.h"
 #include "apps/command_list.h"
-#include "apps/opencl_trouble.h"
 #include "apps/program_source.h"
 #include "apps/signal_guard.h"
 #include "bench/tracking_bench.h"
 #include "core/associate.h"
-#include "io/atomic_file.h"
 
 namespace corvid {
 namespace {
 
 struct TrackingArguments {
   std::vector<std::string> sources;
-  std::string device = "auto";
-  std::optional<std::string> json;
+  BenchOutput output;
   int tracks = 1000, count = -1;
 };
 
@@ -39,10 +35,7 @@ Expected<void> measure(const TrackingArguments& arguments, const std::string& sp
 }
 
 Expected<ExitCode> run_tracking(const TrackingArguments& arguments, Context& context) {
-  if (arguments.json) {
-    if (auto writable = check_file_writable(*arguments.json); !writable)
-      return tl::unexpected(writable.error());
-  }
+  if (auto writable = arguments.output.check(); !writable) return tl::unexpected(writable.error());
   std::vector<std::unique_ptr<FrameSource>> sources;  // opened before minutes of measuring
   for (const std::string& spec : arguments.sources) {
     SourceArguments source_arguments{spec, {}};
@@ -53,10 +46,10 @@ Expected<ExitCode> run_tracking(const TrackingArguments& arguments, Context& con
     sources.push_back(std::move(*source));
   }
   const SignalGuard signals;
-  auto device = open_explained([&] { return Device::open(arguments.device); });
+  auto device = arguments.output.open_device();
   if (!device) return tl::unexpected(device.error());
   TrackingReport report;
-  const auto machine = opening_on_device(**device, [&] { return bench_machine(**device); });
+  const auto machine = bench_machine(**device);
   if (!machine) return tl::unexpected(machine.error());
   report.machine = *machine;
   Expected<void> done;
@@ -64,14 +57,7 @@ Expected<ExitCode> run_tracking(const TrackingArguments& arguments, Context& con
     done = measure(arguments, arguments.sources[i], *sources[i], *device, signals.token(), report);
     if (!done || report.interrupted) break;
   }
-  // What was measured is kept, whatever happened after it.
-  print(report, context.out);
-  if (arguments.json) {
-    if (auto written = write_file_atomically(*arguments.json, json_rows(report)); !written)
-      return tl::unexpected(written.error());
-  }
-  if (!done) return tl::unexpected(done.error());
-  return report.interrupted ? ExitCode::interrupted : ExitCode::ok;
+  return arguments.output.keep(report, done, context);
 }
 
 }  // namespace
@@ -82,10 +68,7 @@ Action add_bench_tracking(CLI::App& group) {
       "tracking", "Time per frame of the tracking frontend, how long its tracks live and drift");
   command->add_option("SOURCE", a->sources, "Recordings, or `synthetic[:key=value,...]`")
       ->required();
-  command->add_option("--json", a->json, "File for the rows, as a JSON array");
-  command->add_option("--device", a->device, "auto, cpu, gpu, or a number from `corvid doctor`")
-      ->envname("CORVID_DEVICE")
-      ->capture_default_str();
+  a->output.add_to(*command);
   command->add_option("--tracks", a->tracks, "Features kept alive per frame")
       ->check(CLI::Range(10, 100000))
       ->capture_default_str();

@@ -14,6 +14,7 @@
 #include "backend/start.h"
 #include "backend/window.h"
 #include "core/check.h"
+#include "core/median.h"
 #include "core/stopwatch.h"
 
 namespace corvid {
@@ -26,6 +27,8 @@ constexpr double kSurelyWrong = 0.99;  ///< probability that makes a calibration
 constexpr int kMaxStrikes = 3;         ///< frames in a row in which a track may disagree
 constexpr int kIntrinsicsFrom = 6;     ///< keyframes before intrinsics are refined
 constexpr int kIntrinsicsUntil = 30;   ///< keyframes after which windows leave them alone
+/// Keyframes at which the distortion alone is refined.
+constexpr std::array kDistortionAt{6, 9, 13, 20, 30};
 
 /// Factor on the covariance of a pose that rests on a small part of what is tracked: when the world
 /// agrees, 70 % and more do.
@@ -35,18 +38,11 @@ double unexplained(const PoseEvent& event) {
   return std::max(1.0, times * times);
 }
 
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 }  // namespace
 
 struct Backend::Impl {
-  Impl(const BackendOptions& o, bool refine_intrinsics, int thread_count)
-      : options(o), refine(refine_intrinsics), threads(thread_count), focal(!refine_intrinsics) {
+  Impl(const BackendOptions& o, IntrinsicsOrigin intrinsics, int thread_count)
+      : options(o), origin(intrinsics), threads(thread_count) {
     if (threads <= 0) threads = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   }
 
@@ -83,7 +79,8 @@ struct Backend::Impl {
   void lap(const char* part) { timings.emplace_back(part, watch.lap_ms()); }
 
   BackendOptions options;
-  bool refine;
+  IntrinsicsOrigin origin;
+  IntrinsicsFreedom freedom = IntrinsicsFreedom::fixed;  ///< of the first frame's camera
   int threads;
 
   enum class Mode { starting, tracking } mode = Mode::starting;
@@ -100,7 +97,7 @@ struct Backend::Impl {
   Eigen::Vector2d doubted_motion = Eigen::Vector2d::Zero();  ///< since the segment's start
   std::deque<double> residuals;  ///< mean squares of the segment's last frames [px^2]
   int lost_frames = 0;
-  FocalBelief focal;
+  FocalBelief focal{true};
   double median_depth = 1;  ///< of the last good frame's landmarks
   std::uint64_t version = 0;
   std::shared_ptr<const MapSnapshot> published_map = std::make_shared<MapSnapshot>();
@@ -117,8 +114,9 @@ PoseEvent Backend::Impl::add(const FrameTracks& tracks) {
   timings.clear();
   watch = Stopwatch();
   if (!have_camera) {
-    prior = *tracks.frame->camera;
-    if (refine && prior.model == CameraModel::pinhole) prior.model = CameraModel::radtan;
+    freedom = intrinsics_freedom(options.intrinsics, origin, *tracks.frame->camera);
+    focal = FocalBelief(freedom != IntrinsicsFreedom::all);
+    prior = adjustable(*tracks.frame->camera, freedom);
     map.camera = prior;
     have_camera = true;
   }
@@ -242,7 +240,7 @@ bool Backend::Impl::jumps(const Resection& r, std::size_t points, std::int64_t t
   const double speed =
       (r.T_world_camera.translation() - pose_of(frames.back()).translation()).norm() / dt;
   // A hovering camera may start to move: speeds far below one scene depth per 10 s are no jump.
-  return speed > kTimesFaster * std::max(median(std::move(speeds)), 0.01 * median_depth);
+  return speed > kTimesFaster * std::max(upper_median(std::move(speeds)), 0.01 * median_depth);
 }
 
 /// A picture that is the one before to the last bit, noise included, shows an earlier moment: the
@@ -288,8 +286,9 @@ bool Backend::Impl::residuals_are_odd(double mse_px2) {
   constexpr std::size_t kFrames = 40, kLeast = 10;
   constexpr double kTimes = 2, kShareOfLargest = 0.3;
   const double large_px = kShareOfLargest * options.max_error_px;
-  const bool odd = residuals.size() >= kLeast && mse_px2 > large_px * large_px &&
-                   mse_px2 > kTimes * median({residuals.begin(), residuals.end()});
+  const bool odd =
+      residuals.size() >= kLeast && mse_px2 > large_px * large_px &&
+      mse_px2 > kTimes * upper_median(std::vector<double>(residuals.begin(), residuals.end()));
   if (!odd) residuals.push_back(mse_px2);
   if (residuals.size() > kFrames) residuals.pop_front();
   return odd;
@@ -328,7 +327,7 @@ void Backend::Impl::judge(double visible, bool odd, PoseEvent* event) const {
     event->reason = "many landmarks disagree with the pose";
   } else if (odd) {
     event->reason = "the residuals are larger than they were";
-  } else if (!refine && focal.wrong() > kSurelyWrong) {
+  } else if (freedom != IntrinsicsFreedom::all && focal.wrong() > kSurelyWrong) {
     event->reason =
         fmt::format("the calibration does not fit: the images ask for a focal length {:.0f} % {}",
                     100 * std::abs(focal.asked()), focal.asked() > 0 ? "longer" : "shorter");
@@ -372,7 +371,7 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
       if (++track.strikes >= kMaxStrikes) track.dead = true;
     }
   }
-  median_depth = median(std::move(depths));
+  median_depth = upper_median(std::move(depths));
 
   event->inliers = r.inliers;
   event->mse_px2 = r.mse_px2;
@@ -399,10 +398,19 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   event->covariance *= unexplained(*event);
 }
 
+/// For the adjustment after a new keyframe, while the intrinsics settle.
 IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
   IntrinsicsPolicy policy;
   policy.prior = prior;
-  if (!refine || segment_keyframes() < kIntrinsicsFrom) return policy;
+  const int n = segment_keyframes();
+  if (freedom == IntrinsicsFreedom::fixed || n < kIntrinsicsFrom || n > kIntrinsicsUntil)
+    return policy;
+  if (freedom == IntrinsicsFreedom::radial) {
+    // adjust_window() itself refuses what is not beyond doubt; a few attempts are enough.
+    if (std::find(kDistortionAt.begin(), kDistortionAt.end(), n) != kDistortionAt.end())
+      policy.freedom = freedom;
+    return policy;
+  }
   std::vector<double> angles;
   for (const TrackId id : map.keyframes.back().tracks) {
     const auto it = map.tracks.find(id);
@@ -410,7 +418,7 @@ IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
       angles.push_back(it->second.max_ray_angle_rad);
     }
   }
-  policy.refine = wide_enough(std::move(angles));
+  if (wide_enough(std::move(angles))) policy.freedom = IntrinsicsFreedom::focal;
   return policy;
 }
 
@@ -418,18 +426,19 @@ IntrinsicsPolicy Backend::Impl::intrinsics_policy() const {
 IntrinsicsPolicy Backend::Impl::final_intrinsics_policy() const {
   IntrinsicsPolicy policy;
   policy.prior = prior;
-  if (!refine || map.keyframes.size() < static_cast<std::size_t>(kIntrinsicsFrom)) return policy;
+  if (map.keyframes.size() < static_cast<std::size_t>(kIntrinsicsFrom)) return policy;
   std::vector<double> angles;
   for (const auto& [id, track] : map.tracks) {
     if (track.landmark) angles.push_back(track.max_ray_angle_rad);
   }
-  policy.refine = wide_enough(std::move(angles));
+  if (freedom == IntrinsicsFreedom::radial || wide_enough(std::move(angles)))
+    policy.freedom = freedom;
   return policy;
 }
 
 /// Intrinsics and a flat fan of rays cannot be told apart.
 bool Backend::Impl::wide_enough(std::vector<double> ray_angles_rad) const {
-  return median(std::move(ray_angles_rad)) > 2 * options.start_min_parallax_rad;
+  return upper_median(std::move(ray_angles_rad)) > 2 * options.start_min_parallax_rad;
 }
 
 void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,
@@ -454,13 +463,12 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
   map.triangulate_tracks(k, options.min_angle_rad, options.max_error_px);
   lap("backend/triangulate");
   // While the intrinsics settle everything moves with them; later they stay, and so does the past.
-  IntrinsicsPolicy policy = intrinsics_policy();
-  int count = options.window_keyframes;
-  if (refine && segment_keyframes() <= kIntrinsicsUntil) {
-    count = segment_keyframes();
-  } else {
-    policy.refine = false;
-  }
+  const IntrinsicsPolicy policy = intrinsics_policy();
+  const bool settling =
+      freedom == IntrinsicsFreedom::all && segment_keyframes() <= kIntrinsicsUntil;
+  const int count = settling || policy.freedom != IntrinsicsFreedom::fixed
+                        ? segment_keyframes()
+                        : options.window_keyframes;
   adjust_window(map, segment_first, count, options, threads, policy);
   learn_focal();
   map.forget_tracks(k - options.window_keyframes);
@@ -469,7 +477,7 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
 }
 
 void Backend::Impl::learn_focal() {
-  if (refine) focal.clear();  // the estimate was of another one
+  if (freedom == IntrinsicsFreedom::all) focal.clear();  // the estimate was of another one
   focal.add(map.keyframes.back().focal, std::min(options.window_keyframes, segment_keyframes()));
 }
 
@@ -486,7 +494,7 @@ void Backend::Impl::publish_motion(const FrameTracks& tracks) {
     const std::size_t all = map.keyframes.size(), first = static_cast<std::size_t>(segment_first);
     for (std::size_t k = std::max(first, all > kept ? all - kept : 0); k < all; ++k)
       motion->keyframes.emplace_back(map.keyframes[k].frame->id, map.keyframes[k].T_world_camera);
-    if (refine) motion->camera = published_map->camera;
+    if (freedom != IntrinsicsFreedom::fixed) motion->camera = published_map->camera;
   }
   for (const TrackObservation& o : tracks.observations) {
     const auto it = map.tracks.find(o.track);
@@ -502,8 +510,8 @@ void Backend::Impl::publish_motion(const FrameTracks& tracks) {
 
 void Backend::Impl::publish_map() { published_map = map.snapshot(++version); }
 
-Backend::Backend(const BackendOptions& options, bool refine_intrinsics, int threads)
-    : impl_(std::make_unique<Impl>(options, refine_intrinsics, threads)) {
+Backend::Backend(const BackendOptions& options, IntrinsicsOrigin origin, int threads)
+    : impl_(std::make_unique<Impl>(options, origin, threads)) {
   const auto problems = options.validate();
   CORVID_CHECK(problems.empty(), problems.front());
 }

@@ -8,6 +8,7 @@
 #include "core/tracks.h"
 #include "corvid/map.h"
 #include "corvid/options.h"
+#include "corvid/ports.h"
 #include "corvid/pose.h"
 
 namespace corvid {
@@ -22,10 +23,10 @@ namespace corvid {
 /// cross threads. Results repeat bit for bit if threads == 1.
 class Backend {
  public:
-  /// @param refine_intrinsics  estimate focal length and k1, k2 too: for cameras whose intrinsics
-  ///        come from EXIF, are nominal or a guess.
+  /// @param origin  where the cameras' intrinsics come from: with options.intrinsics it decides
+  ///        which of them are estimated, too (backend/intrinsics.h).
   /// @param threads  of the window adjustment; 0: as many as the machine has cores.
-  Backend(const BackendOptions& options, bool refine_intrinsics, int threads);
+  Backend(const BackendOptions& options, IntrinsicsOrigin origin, int threads);
   ~Backend();
   Backend(const Backend&) = delete;
   Backend& operator=(const Backend&) = delete;

@@ -37,6 +37,27 @@ double median_sigma(const std::vector<BundleObservation>& observations) {
   return *middle;
 }
 
+/// One over the prior's standard deviations: a tenth of the focal length, a fiftieth of it for the
+/// principal point, and for the distortion what lenses have, or what rectification leaves.
+IntrinsicsBlock prior_weights(IntrinsicsFreedom freedom, double sigma_px) {
+  const double k = freedom == IntrinsicsFreedom::radial ? 0.02 : 0.1;
+  IntrinsicsBlock weights{0.1, 0.02, 0.02, k, k, 0.01, 0.01, k};
+  for (double& w : weights) w = sigma_px / w;
+  return weights;
+}
+
+/// Positions in the block of the intrinsics that stay.
+std::vector<int> held_intrinsics(IntrinsicsFreedom freedom, CameraModel model) {
+  const bool distorts = model == CameraModel::radtan || model == CameraModel::equidistant;
+  std::vector<int> held;
+  if (freedom == IntrinsicsFreedom::radial) held.push_back(0);
+  if (freedom != IntrinsicsFreedom::all) held.insert(held.end(), {1, 2});
+  if (!distorts) held.insert(held.end(), {3, 4});
+  if (!distorts || freedom != IntrinsicsFreedom::all) held.insert(held.end(), {5, 6});
+  if (model != CameraModel::radtan || freedom != IntrinsicsFreedom::all) held.push_back(7);
+  return held;
+}
+
 }  // namespace
 
 BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
@@ -49,7 +70,8 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   poses.reserve(problem.T_world_camera.size());
   for (const Pose& T : problem.T_world_camera) poses.push_back(to_block(T));
   std::vector<Eigen::Vector3d> points = problem.points;
-  const Camera reference = settings.refine_intrinsics ? settings.intrinsics_prior : problem.camera;
+  const bool refine = settings.freedom != IntrinsicsFreedom::fixed;
+  const Camera reference = refine ? settings.intrinsics_prior : problem.camera;
   IntrinsicsBlock intrinsics = intrinsics_block(problem.camera, reference);
   const double sigma = median_sigma(problem.observations);
 
@@ -59,7 +81,9 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   std::deque<ReprojectionCost> costs;
   std::deque<IntrinsicsReprojectionCost> intrinsics_costs;
   std::deque<DistanceCost> distances;
-  const IntrinsicsPriorCost prior(intrinsics_block(reference, reference), sigma);
+  const IntrinsicsPriorCost prior(intrinsics_block(reference, reference),
+                                  prior_weights(settings.freedom, sigma));
+  ceres::SubsetManifold intrinsics_manifold(8, held_intrinsics(settings.freedom, reference.model));
 
   ceres::Problem::Options options;
   options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -91,7 +115,7 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
     double* const pose = poses[static_cast<std::size_t>(o.pose)].data();
     double* const point = points[static_cast<std::size_t>(o.point)].data();
     const double weight = sigma / o.sigma_px;
-    if (settings.refine_intrinsics) {
+    if (refine) {
       intrinsics_costs.emplace_back(&reference, o.pixel, weight);
       ceres_problem.AddResidualBlock(&intrinsics_costs.back(), &loss, pose, point,
                                      intrinsics.data());
@@ -103,9 +127,10 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   for (std::size_t i = points.size(); i-- > 0;) {
     if (!ceres_problem.HasParameterBlock(points[i].data())) ordering->Remove(points[i].data());
   }
-  if (settings.refine_intrinsics) {
+  if (refine) {
     ceres_problem.AddResidualBlock(const_cast<IntrinsicsPriorCost*>(&prior), nullptr,
                                    intrinsics.data());
+    ceres_problem.SetManifold(intrinsics.data(), &intrinsics_manifold);
     ordering->AddElementToGroup(intrinsics.data(), 1);
   }
   for (const auto& [a, b] : problem.hold_distance) {
@@ -145,7 +170,7 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   for (const auto& point : points) {
     if (!point.allFinite()) return result;
   }
-  if (settings.refine_intrinsics) {
+  if (refine) {
     const Camera camera = apply_intrinsics(reference, intrinsics.data());
     if (!camera.validate().empty()) return result;
     problem.camera = camera;

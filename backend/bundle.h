@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "backend/intrinsics.h"
 #include "corvid/camera.h"
 #include "corvid/pose.h"
 
@@ -33,9 +34,8 @@ struct BundleSettings {
   int threads = 1;
   double cost_tolerance =
       1e-5;  ///< stops when an iteration lowers the cost by less than this share
-  /// Focal length and, for radtan and equidistant, k1 and k2 are unknowns too; weakly drawn to
-  /// those of `intrinsics_prior` (10 %, 0.1, 0.1).
-  bool refine_intrinsics = false;
+  /// Intrinsics that are unknowns too, weakly drawn to those of `intrinsics_prior`.
+  IntrinsicsFreedom freedom = IntrinsicsFreedom::fixed;
   Camera intrinsics_prior;
 };
 

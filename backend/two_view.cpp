@@ -8,6 +8,7 @@
 
 #include "backend/bundle.h"
 #include "backend/triangulate.h"
+#include "core/median.h"
 
 namespace corvid {
 namespace {
@@ -16,13 +17,6 @@ struct RayPair {
   int index;  // in the caller's pairs
   Eigen::Vector3d a, b;
 };
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Share of pairs that a rotation alone explains: robust Wahba problem, reweighted from the
 /// previous residuals (Kabsch, Acta Cryst. A32, 1976).
@@ -103,7 +97,7 @@ Judged judge(const Camera& camera, std::span<const PixelPair> pairs,
     result.motion.index.push_back(ray.index);
     result.motion.p_a.push_back(p_a);
   }
-  result.motion.median_parallax_rad = median(std::move(parallax));
+  result.motion.median_parallax_rad = upper_median(std::move(parallax));
   return result;
 }
 

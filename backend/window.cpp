@@ -134,7 +134,7 @@ BundleSettings settings_for(const BackendOptions& options, int threads,
   settings.huber_px = options.huber_px;
   settings.max_iterations = options.max_iterations;
   settings.threads = threads;
-  settings.refine_intrinsics = intrinsics.refine;
+  settings.freedom = intrinsics.freedom;
   settings.intrinsics_prior = intrinsics.prior;
   return settings;
 }
@@ -180,6 +180,29 @@ void estimate_drift(MapData& map, const Part& part, int first, double huber_px) 
   k.focal = {link.focal.share, std::sqrt(kObservationsPerFact) * link.focal.sigma};
 }
 
+/// adjust(), with the last freedom of the intrinsics taken only where what it explains is beyond
+/// doubt: over a plane seen from one side, distortion and a bent ground cannot be told apart.
+bool adjust_part(BundleProblem& problem, const BundleSettings& settings) {
+  constexpr double kLeastRatio = 100, kLeastShare = 0.01;
+  BundleSettings sure = settings;
+  if (settings.freedom == IntrinsicsFreedom::radial) sure.freedom = IntrinsicsFreedom::fixed;
+  if (settings.freedom == IntrinsicsFreedom::all) sure.freedom = IntrinsicsFreedom::focal;
+  if (!adjust(problem, sure).ok) return false;
+  if (sure.freedom == settings.freedom) return true;
+  BundleProblem freed = problem;
+  const BundleResult r = adjust(freed, settings);
+  const double unknowns = 6.0 * static_cast<double>(problem.T_world_camera.size()) +
+                          3.0 * static_cast<double>(problem.points.size());
+  const double rows = 2.0 * static_cast<double>(problem.observations.size());
+  const double explained = r.initial_cost - r.final_cost;
+  // Likelihood ratio of the two models: chi-square with as many degrees of freedom as intrinsics
+  // were freed, if errors are independent; they are not quite, hence the margin.
+  if (r.ok && explained * (rows - unknowns) > kLeastRatio * r.final_cost &&
+      explained > kLeastShare * r.final_cost)
+    problem = std::move(freed);
+  return true;
+}
+
 }  // namespace
 
 bool adjust_window(MapData& map, int first, int count, const BackendOptions& options, int threads,
@@ -204,9 +227,9 @@ bool adjust_window(MapData& map, int first, int count, const BackendOptions& opt
   if (fixed == 0) part.problem.fixed[static_cast<std::size_t>(gauge[0])] = 1;
   if (fixed < 2) part.problem.hold_distance.emplace_back(gauge[0], gauge[1]);
 
-  const bool ok = adjust(part.problem, settings_for(options, threads, intrinsics)).ok;
+  const bool ok = adjust_part(part.problem, settings_for(options, threads, intrinsics));
   if (ok) {
-    write_back(map, part, intrinsics.refine);
+    write_back(map, part, intrinsics.freedom != IntrinsicsFreedom::fixed);
     estimate_drift(map, part, first, options.huber_px);
   }
   drop_outliers(map, part, options);
@@ -237,8 +260,8 @@ bool adjust_all(MapData& map, const BackendOptions& options, int threads,
     }
     BundleSettings settings = settings_for(options, threads, intrinsics);
     settings.max_iterations = kIterations;
-    if (!adjust(part.problem, settings).ok) return false;
-    write_back(map, part, intrinsics.refine);
+    if (!adjust_part(part.problem, settings)) return false;
+    write_back(map, part, intrinsics.freedom != IntrinsicsFreedom::fixed);
     drop_outliers(map, part, options);
   }
   return true;

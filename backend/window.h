@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "backend/intrinsics.h"
 #include "backend/map_data.h"
 #include "corvid/options.h"
 
@@ -9,7 +10,7 @@ namespace corvid {
 
 /// What an adjustment may do beyond poses and points.
 struct IntrinsicsPolicy {
-  bool refine = false;
+  IntrinsicsFreedom freedom = IntrinsicsFreedom::fixed;
   Camera prior;  ///< intrinsics that the source gave
 };
 

@@ -21,9 +21,7 @@ std::string processor_name() {
   return "unknown processor";
 }
 
-}  // namespace
-
-BenchMachine bench_machine(const Device& device) {
+BenchMachine describe(const Device& device) {
   BenchMachine machine;
   machine.processor = processor_name();
   machine.cores = static_cast<int>(std::thread::hardware_concurrency());
@@ -37,6 +35,13 @@ BenchMachine bench_machine(const Device& device) {
   machine.compiler = CORVID_COMPILER;
   machine.opencv_threads = cv::getNumThreads();
   return machine;
+}
+
+}  // namespace
+
+Expected<BenchMachine> bench_machine(const Device& device) {
+  cv::setNumThreads(-1);
+  return opening_on_device(device, [&] { return describe(device); });
 }
 
 void print_machine(const BenchMachine& m, std::ostream& out) {

@@ -3,6 +3,7 @@
 #include <iosfwd>
 #include <string>
 
+#include "corvid/error.h"
 #include "kernels/device.h"
 
 namespace corvid {
@@ -19,8 +20,8 @@ struct BenchMachine {
   int opencv_threads = 0;
 };
 
-/// OpenCV gets as many threads as it takes by itself.
-[[nodiscard]] BenchMachine bench_machine(const Device& device);
+/// What it is, and OpenCV gets as many threads as it takes by itself. Errors: device.
+[[nodiscard]] Expected<BenchMachine> bench_machine(const Device& device);
 /// Three lines, for the head of a table.
 void print_machine(const BenchMachine& machine, std::ostream& out);
 

@@ -426,8 +426,7 @@ Expected<void> run_ncc_bench(const std::shared_ptr<Device>& device, const NccBen
   report = {};
   report.runs = options.runs;
   if (auto valid = validate(options); !valid) return valid;
-  cv::setNumThreads(-1);  // as many as OpenCV takes by itself
-  auto machine = opening_on_device(*device, [&] { return bench_machine(*device); });
+  auto machine = bench_machine(*device);
   if (!machine) return tl::unexpected(machine.error());
   report.machine = std::move(*machine);
   Expected<void> done;

@@ -125,7 +125,7 @@ Expected<TrackingRun> run_tracking_bench(const std::shared_ptr<Device>& device, 
   const SourceInfo& info = source.info();
   auto frontend = Frontend::create(device, frontend_options, info.stills);
   if (!frontend) return tl::unexpected(frontend.error());
-  Backend backend({}, info.intrinsics != IntrinsicsOrigin::calibration, 0);
+  Backend backend({}, info.intrinsics, 0);
   TrackingRun run;
   run.set = info.path;
   run.max_tracks = frontend_options.max_tracks;

@@ -119,6 +119,11 @@ std::vector<std::string> BackendOptions::validate() const {
   p.in("window_keyframes", window_keyframes, 2, 1000);
   p.at_least("max_iterations", max_iterations, 1);
   p.at_least("min_inliers", min_inliers, 4);  // fewer do not fix a pose
+  if (intrinsics != "auto" && intrinsics != "fixed" && intrinsics != "distortion" &&
+      intrinsics != "all") {
+    p.add("intrinsics",
+          fmt::format("must be auto, fixed, distortion or all, not \"{}\"", intrinsics));
+  }
   return p.take();
 }
 

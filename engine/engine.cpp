@@ -308,8 +308,7 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
     if (!created) return tl::unexpected(created.error());
     mapper = std::move(*created);
   }
-  auto backend = std::make_unique<Backend>(
-      impl_->options.backend, info.intrinsics != IntrinsicsOrigin::calibration, impl_->threads);
+  auto backend = std::make_unique<Backend>(impl_->options.backend, info.intrinsics, impl_->threads);
   Impl::Run run{*impl_,
                 source,
                 InOrder(source),

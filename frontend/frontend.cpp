@@ -8,6 +8,7 @@
 #include <unordered_set>
 
 #include "core/log.h"
+#include "core/median.h"
 #include "frontend/disambiguate/epipolar_constraint.h"
 #include "frontend/disambiguate/highest_scores.h"
 #include "frontend/disambiguate/unique.h"
@@ -15,6 +16,7 @@
 #include "frontend/epipolar.h"
 #include "frontend/merge.h"
 #include "frontend/predict.h"
+#include "frontend/spread_corners.h"
 
 namespace corvid {
 namespace {
@@ -35,13 +37,6 @@ int level_count(int width_px, int height_px) {
   while (levels < kMaxLevels && (std::min(width_px, height_px) >> levels) >= kMinLevelSidePx)
     ++levels;
   return levels;
-}
-
-template <class T>
-T median(std::vector<T> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Indices of the `k` points nearest to `x`, in no order that means anything.
@@ -69,7 +64,7 @@ Eigen::Vector2d neighbour_motion(const std::vector<Eigen::Vector2d>& points,
     dx.push_back(displacements[i].x());
     dy.push_back(displacements[i].y());
   }
-  return {median(std::move(dx)), median(std::move(dy))};
+  return {upper_median(std::move(dx)), upper_median(std::move(dy))};
 }
 
 }  // namespace
@@ -304,7 +299,11 @@ void Frontend::recover(const Camera& camera, std::vector<SearchCandidate>& found
   const int level = bounded ? 0 : std::min(3, current_->pyramid->levels() - 1);
   const int radius = bounded ? 15 : 8;
   auto candidates = search_.candidates(*current_->pyramid, queries, level, radius);
-  remove_weak_corners(queries, level, candidates);
+  std::vector<Eigen::Vector2d> anchors;
+  for (const SearchQuery& query : queries) anchors.push_back(query.anchor_px);
+  (void)take_weak_corners(corners_, previous_->pyramid->level(level),
+                          current_->pyramid->level(level), level, anchors, options_.harris_kappa,
+                          options_.corner_score_ratio, candidates);
 
   MatchSets sets;
   for (std::size_t k = 0; k < missing.size(); ++k) {
@@ -359,28 +358,6 @@ bool Frontend::accept_recovered(Track& track, const SearchQuery& query,
   track.warp = query.warp;
   ++counts_.recovered;
   return true;
-}
-
-void Frontend::remove_weak_corners(std::span<const SearchQuery> queries, int level,
-                                   std::vector<std::vector<SearchCandidate>>& candidates) {
-  const double scale = std::ldexp(1.0, -level);
-  std::vector<Eigen::Vector2f> x_r, x_t;
-  for (std::size_t i = 0; i < queries.size(); ++i) {
-    x_r.emplace_back((queries[i].anchor_px * scale).cast<float>());
-    for (const SearchCandidate& candidate : candidates[i])
-      x_t.emplace_back((candidate.pixel * scale).cast<float>());
-  }
-  const auto score_r =
-      corners_.score_at(previous_->pyramid->level(level), x_r, options_.harris_kappa);
-  const DeviceImage& target = current_->pyramid->level(level);
-  const auto score_t = corners_.score_at(target, x_t, options_.harris_kappa);
-  std::size_t next = 0;
-  for (std::size_t i = 0; i < queries.size(); ++i)
-    std::erase_if(candidates[i], [&](const SearchCandidate&) {
-      const Eigen::Vector2f& at = x_t[next];
-      return is_weak_corner(score_r[i].lambda_min, score_t[next++].lambda_min, at, target.width_px,
-                            target.height_px, options_.corner_score_ratio);
-    });
 }
 
 void Frontend::rematch(const Frame& frame, std::vector<SearchCandidate>& found) {
@@ -447,24 +424,17 @@ bool Frontend::keyframe_due(const Camera& camera) const {
     if (const auto x = undistort_pixel(camera, track.pixel))
       motion_px.push_back((*x - track.keyframe_px).norm());
   return !motion_px.empty() &&
-         median(std::move(motion_px)) > options_.keyframe_parallax * camera.width_px;
+         upper_median(std::move(motion_px)) > options_.keyframe_parallax * camera.width_px;
 }
 
 void Frontend::make_keyframe(const Frame& frame) {
   const DeviceImage& image = current_->pyramid->level(0);
-  const double area = static_cast<double>(image.width_px) * image.height_px;
-  const double spacing_px = std::sqrt(area / options_.max_tracks);
   std::vector<Eigen::Vector2f> occupied;
   for (const Track& track : tracks_) occupied.push_back(track.pixel.cast<float>());
-  CornerOptions corner_options;
+  CornerOptions corner_options =
+      spread_corners(image, options_.max_tracks, options_.template_px, occupied);
   corner_options.quality = options_.corner_quality;
   corner_options.kappa = options_.harris_kappa;
-  corner_options.cell_px = std::max(8, static_cast<int>(1.5 * spacing_px));
-  corner_options.max_per_cell = 3;
-  corner_options.max_count = std::max(0, options_.max_tracks - static_cast<int>(tracks_.size()));
-  corner_options.border_px = options_.template_px / 2 + 2;
-  corner_options.occupied = occupied;
-  corner_options.min_distance_px = std::max(4.0, 0.5 * spacing_px);
   const auto corners = corners_.detect(image, corner_options);
 
   for (Track& track : tracks_) {

@@ -93,10 +93,6 @@ class Frontend {
   void rematch(const Frame& frame, std::vector<SearchCandidate>& found);
   /// A match of a template of the last frame: if it is good, the track is anchored there.
   bool accept_recovered(Track& track, const SearchQuery& query, const SearchCandidate& match);
-  /// Weak-corner removal (thesis 4.3): candidates whose corner score is under that of the template
-  /// divided by tau_c. All templates are of the last frame.
-  void remove_weak_corners(std::span<const SearchQuery> queries, int level,
-                           std::vector<std::vector<SearchCandidate>>& candidates);
   void reject_outliers(const Camera& camera, std::vector<SearchCandidate>& found);
   /// Ends tracks that follow the same feature as an older one, and takes back their observations.
   void merge(std::vector<TrackObservation>& observations);

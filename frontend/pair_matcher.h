@@ -20,6 +20,8 @@
 
 namespace corvid {
 
+class PairSearch;
+
 /// One image made ready for matching: its pyramid, and the points that are looked for elsewhere
 /// when it is the reference.
 struct MatchView {
@@ -52,7 +54,8 @@ enum class NoMatch {
 struct UnmatchedPoint {
   std::size_t point = 0;
   NoMatch reason = NoMatch::no_candidate;
-  std::vector<Eigen::Vector2d> candidates;  ///< those that were left [px]
+  /// Those that were left or, if there are none, those that were refused [px, distorted].
+  std::vector<Eigen::Vector2d> candidates;
 };
 
 /// What matching two images gave.
@@ -118,10 +121,9 @@ class PairMatcher {
                                   const PairKnowledge& known = {});
 
  private:
-  struct Impl;
   class Run;
-  explicit PairMatcher(std::unique_ptr<Impl> impl);
-  std::unique_ptr<Impl> impl_;
+  explicit PairMatcher(std::unique_ptr<PairSearch> search);
+  std::unique_ptr<PairSearch> search_;
 };
 
 }  // namespace corvid

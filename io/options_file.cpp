@@ -88,6 +88,8 @@ constexpr OptionField kFields[] = {
     CORVID_OPTION(backend.max_iterations, "iterations of one window adjustment, at most"),
     CORVID_OPTION(backend.min_inliers, "fewer agreeing landmarks: the camera is lost"),
     CORVID_OPTION(backend.final_adjustment, "adjust everything once more at the end of the run"),
+    CORVID_OPTION(backend.intrinsics,
+                  "intrinsics that are estimated, too: auto, fixed, distortion, all"),
     CORVID_OPTION(backend.seed, "seed of the start's and the resection's RANSAC"),
 
     CORVID_OPTION(mapping.enabled,

@@ -28,16 +28,12 @@ constexpr int kGroup = (kGroupPiece.width + 2) * (kGroupPiece.height + 2) / kGro
 constexpr std::size_t kKeptDenominators = 8;
 constexpr std::size_t kKeptDenominatorBytes = std::size_t{192} << 20;
 
-int height_of(const NccOptions& options) {
-  return options.template_height_px == 0 ? options.template_px : options.template_height_px;
-}
-
 std::optional<Error> check_options(const NccOptions& options) {
   const auto error = [](std::string what) {
     return Error{ErrorCode::invalid_argument, std::move(what), "NccOptions", {}};
   };
   for (const auto& [name, side] :
-       {std::pair{"template_px", options.template_px}, {"template_height_px", height_of(options)}})
+       {std::pair{"template_px", options.template_px}, {"template_height_px", options.height_px()}})
     if (side < 3 || side > 31 || side % 2 == 0)
       return error(fmt::format("{} is {}: an odd number from 3 to 31 is wanted", name, side));
   if (!(options.peak_quality >= 0 && options.peak_quality <= 1))
@@ -46,7 +42,7 @@ std::optional<Error> check_options(const NccOptions& options) {
   if (options.weights == NccWeights::separable) {
     for (const auto& [name, list, side] :
          {std::tuple{"weights_x", &options.weights_x, options.template_px},
-          {"weights_y", &options.weights_y, height_of(options)}}) {
+          {"weights_y", &options.weights_y, options.height_px()}}) {
       if (static_cast<int>(list->size()) != side)
         return error(
             fmt::format("{} has {} numbers: the template has {}", name, list->size(), side));
@@ -124,7 +120,7 @@ Expected<NccMatcher> NccMatcher::create(std::shared_ptr<Device> device, std::str
 Expected<NccMatcher::Kernels*> NccMatcher::kernels(const NccOptions& options, PixelFormat format,
                                                    NccVariant variant) {
   if (auto error = check_options(options)) return tl::unexpected(std::move(*error));
-  const int width = options.template_px, height = height_of(options);
+  const int width = options.template_px, height = options.height_px();
   const bool uniform = options.weights == NccWeights::uniform;
   const bool floats = format == PixelFormat::float32;
   // With other weights 16 bits are not enough for the taps at the template's border.

@@ -56,6 +56,9 @@ enum class NccWeights {
 struct NccOptions {
   int template_px = 11;        ///< template width, odd, 3 to 31 (thesis 4.1)
   int template_height_px = 0;  ///< odd, 3 to 31; 0: as the width
+  [[nodiscard]] int height_px() const {
+    return template_height_px == 0 ? template_px : template_height_px;
+  }
   double peak_quality = 0.85;  ///< Q_m: peaks kept, share of the window's best (thesis 3.2)
   NccWeights weights = NccWeights::uniform;
   std::vector<double> weights_x, weights_y;  ///< separable: one per column and row, > 0, any sum

@@ -146,8 +146,7 @@ void NccMatcher::score_frequencies(Kernels& kernels, const DeviceImage& referenc
 // Measured once per device for the template's size, its weights and the format.
 NccVariant NccMatcher::fastest_variant(const NccOptions& options, PixelFormat format, Lane lane) {
   const bool grey = format == PixelFormat::grey8;
-  const int height =
-      options.template_height_px == 0 ? options.template_px : options.template_height_px;
+  const int height = options.height_px();
   if (options.template_px * height < kLeastFrequencyArea) return NccVariant::by_device;
   const std::string key = fmt::format(
       "dense correlation 2: {}x{} {} {}, {} lanes{}{}", options.template_px, height,

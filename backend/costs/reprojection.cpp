@@ -95,7 +95,11 @@ bool PoseManifold::MinusJacobian(const double*, double* jacobian) const {
 }
 
 IntrinsicsBlock intrinsics_block(const Camera& camera, const Camera& reference) {
-  return {std::log(camera.fx_px / reference.fx_px), camera.distortion[0], camera.distortion[1]};
+  IntrinsicsBlock block{std::log(camera.fx_px / reference.fx_px),
+                        (camera.cx_px - reference.cx_px) / reference.fx_px,
+                        (camera.cy_px - reference.cy_px) / reference.fx_px};
+  std::copy(camera.distortion.begin(), camera.distortion.end(), block.begin() + 3);
+  return block;
 }
 
 Camera apply_intrinsics(const Camera& reference, const double* block) {
@@ -103,10 +107,9 @@ Camera apply_intrinsics(const Camera& reference, const double* block) {
   const double factor = std::exp(block[0]);
   camera.fx_px *= factor;
   camera.fy_px *= factor;
-  if (camera.model == CameraModel::radtan || camera.model == CameraModel::equidistant) {
-    camera.distortion[0] = block[1];
-    camera.distortion[1] = block[2];
-  }
+  camera.cx_px += block[1] * reference.fx_px;
+  camera.cy_px += block[2] * reference.fx_px;
+  std::copy(block + 3, block + 8, camera.distortion.begin());
   return camera;
 }
 
@@ -127,13 +130,10 @@ bool IntrinsicsReprojectionCost::Evaluate(const double* const* parameters, doubl
            jacobians != nullptr ? jacobians[1] : nullptr,
            d_block != nullptr ? &d_intrinsics : nullptr);
   if (d_block != nullptr) {
-    Jacobian23 J(d_block);
+    Eigen::Map<RowMajor<2, 8>> J(d_block);
     J.col(0) = weight_ * (d_intrinsics.col(0) * camera.fx_px + d_intrinsics.col(1) * camera.fy_px);
-    if (camera.model == CameraModel::radtan || camera.model == CameraModel::equidistant) {
-      J.rightCols<2>() = weight_ * d_intrinsics.middleCols<2>(4);
-    } else {
-      J.rightCols<2>().setZero();
-    }
+    J.middleCols<2>(1) = weight_ * reference_->fx_px * d_intrinsics.middleCols<2>(2);
+    J.rightCols<5>() = weight_ * d_intrinsics.rightCols<5>();
   }
   return true;
 }
@@ -159,14 +159,13 @@ bool DistanceCost::Evaluate(const double* const* parameters, double* residuals,
 
 bool IntrinsicsPriorCost::Evaluate(const double* const* parameters, double* residuals,
                                    double** jacobians) const {
-  constexpr double kSigma = 0.1;
-  for (int i = 0; i < 3; ++i) {
-    const auto k = static_cast<std::size_t>(i);
-    residuals[i] = weight_ * (parameters[0][i] - mean_[k]) / kSigma;
-  }
+  Eigen::Map<Eigen::Array<double, 8, 1>> r(residuals);
+  const Eigen::Map<const Eigen::Array<double, 8, 1>> x(parameters[0]), mean(mean_.data()),
+      weights(weights_.data());
+  r = weights * (x - mean);
   if (jacobians != nullptr && jacobians[0] != nullptr) {
-    Eigen::Map<RowMajor<3, 3>> J(jacobians[0]);
-    J = Eigen::Matrix3d::Identity() * (weight_ / kSigma);
+    Eigen::Map<RowMajor<8, 8>> J(jacobians[0]);
+    J = weights.matrix().asDiagonal();
   }
   return true;
 }

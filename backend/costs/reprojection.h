@@ -30,9 +30,9 @@ class PoseManifold final : public ceres::Manifold {
   bool MinusJacobian(const double* x, double* jacobian) const override;
 };
 
-/// Unknown part of the intrinsics: (log of the focal length's factor, k1, k2), relative to a camera
-/// whose ratio fx/fy, principal point and other distortion stay. The fov model has no k1, k2.
-using IntrinsicsBlock = std::array<double, 3>;
+/// Intrinsics as unknowns: log of the focal length's factor (fx/fy stays), principal point's shift
+/// over the reference's fx, the distortion's five values.
+using IntrinsicsBlock = std::array<double, 8>;
 [[nodiscard]] IntrinsicsBlock intrinsics_block(const Camera& camera, const Camera& reference);
 [[nodiscard]] Camera apply_intrinsics(const Camera& reference, const double* block);
 
@@ -53,7 +53,7 @@ class ReprojectionCost final : public ceres::SizedCostFunction<2, 7, 3> {
 };
 
 /// The same with the intrinsics as a third block.
-class IntrinsicsReprojectionCost final : public ceres::SizedCostFunction<2, 7, 3, 3> {
+class IntrinsicsReprojectionCost final : public ceres::SizedCostFunction<2, 7, 3, 8> {
  public:
   IntrinsicsReprojectionCost(const Camera* reference, const Eigen::Vector2d& pixel, double weight)
       : reference_(reference), pixel_(pixel), weight_(weight) {}
@@ -78,16 +78,16 @@ class DistanceCost final : public ceres::SizedCostFunction<1, 7, 7> {
   double weight_;
 };
 
-/// Gaussian prior on an IntrinsicsBlock: focal length to 10 %, k1 and k2 to 0.1.
-class IntrinsicsPriorCost final : public ceres::SizedCostFunction<3, 3> {
+/// Gaussian prior on an IntrinsicsBlock: (block - mean) * weight, value by value.
+class IntrinsicsPriorCost final : public ceres::SizedCostFunction<8, 8> {
  public:
-  IntrinsicsPriorCost(const IntrinsicsBlock& mean, double weight) : mean_(mean), weight_(weight) {}
+  IntrinsicsPriorCost(const IntrinsicsBlock& mean, const IntrinsicsBlock& weights)
+      : mean_(mean), weights_(weights) {}
   bool Evaluate(const double* const* parameters, double* residuals,
                 double** jacobians) const override;
 
  private:
-  IntrinsicsBlock mean_;
-  double weight_;
+  IntrinsicsBlock mean_, weights_;
 };
 
 }  // namespace corvid

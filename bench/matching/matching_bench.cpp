@@ -74,7 +74,7 @@ class MatchingBench {
     std::size_t wanted = 0, done = 0, images = 0;
     for (const auto& run : *runs) wanted += pairs_of(run.size());
     const Trajectory truth = set.source->truth();
-    const bool refine = set.source->info().intrinsics != IntrinsicsOrigin::calibration;
+    const IntrinsicsOrigin origin = set.source->info().intrinsics;
     for (const auto& run : *runs) {
       std::vector<std::int64_t> times_ns;
       for (const FramePtr& image : run) times_ns.push_back(image->time_ns);
@@ -85,7 +85,7 @@ class MatchingBench {
       images += run.size();
       log().info("{}: bundle adjustment of {} images", set.name, run.size());
       for (Side* side : {&sift, &corvid})
-        side->tally.add(reconstruct(run, T_world_camera, side->pairs, refine));
+        side->tally.add(reconstruct(run, T_world_camera, side->pairs, origin));
     }
     if (done == 0) return {};
     const Camera& camera = *runs->front().front()->camera;
@@ -172,8 +172,7 @@ Expected<void> run_matching_bench(const std::shared_ptr<Device>& device,
                 fmt::format("{} pairs, {} runs of each work", options.pairs, options.runs),
                 "matching bench", "at least 3 pairs and 1 run");
   }
-  cv::setNumThreads(-1);  // as many as OpenCV takes by itself
-  auto machine = opening_on_device(*device, [&] { return bench_machine(*device); });
+  auto machine = bench_machine(*device);
   if (!machine) return tl::unexpected(machine.error());
   report.machine = std::move(*machine);
   Expected<void> done;

@@ -106,7 +106,7 @@ struct Cameras {
 /// Poses from the tracks alone: every image is a keyframe of the backend; of the parts that it
 /// could not join, the one with the most images.
 Cameras start_from_tracks(std::span<const FramePtr> images, const Tracks& tracks,
-                          bool refine_intrinsics) {
+                          IntrinsicsFreedom freedom) {
   std::vector<std::vector<TrackObservation>> observations(images.size());
   for (std::size_t t = 0; t < tracks.tracks.size(); ++t) {
     int last = -1;
@@ -120,7 +120,9 @@ Cameras start_from_tracks(std::span<const FramePtr> images, const Tracks& tracks
       observations[static_cast<std::size_t>(node.image)].push_back(observation);
     }
   }
-  Backend backend(BackendOptions{}, refine_intrinsics, 1);
+  BackendOptions options;
+  options.intrinsics = freedom == IntrinsicsFreedom::all ? "all" : "fixed";
+  Backend backend(options, IntrinsicsOrigin::calibration, 1);
   for (std::size_t i = 0; i < images.size(); ++i) {
     (void)backend.add({images[i], true, std::move(observations[i])});
   }
@@ -194,7 +196,7 @@ BundleProblem adjust_tracks(const Tracks& tracks, const Cameras& cameras, double
 
 Reconstruction reconstruct(std::span<const FramePtr> images,
                            std::span<const std::optional<Pose>> T_world_camera,
-                           std::span<const MatchedPair> pairs, bool refine_intrinsics) {
+                           std::span<const MatchedPair> pairs, IntrinsicsOrigin origin) {
   Reconstruction out;
   const Tracks tracks = chain(pairs, images.size());
   out.conflicts = tracks.conflicts;
@@ -203,18 +205,16 @@ Reconstruction reconstruct(std::span<const FramePtr> images,
   BundleSettings settings;
   settings.max_iterations = 100;
   settings.cost_tolerance = 1e-6;
-  settings.refine_intrinsics = refine_intrinsics;
-  settings.intrinsics_prior = *images[0]->camera;
-  if (refine_intrinsics && settings.intrinsics_prior.model == CameraModel::pinhole)
-    settings.intrinsics_prior.model = CameraModel::radtan;  // the same, with a distortion of 0
+  settings.freedom =
+      origin == IntrinsicsOrigin::calibration ? IntrinsicsFreedom::fixed : IntrinsicsFreedom::all;
+  settings.intrinsics_prior = adjustable(*images[0]->camera, settings.freedom);
 
   Cameras cameras;
   if (std::all_of(T_world_camera.begin(), T_world_camera.end(),
                   [](const auto& T) { return T.has_value(); })) {
-    cameras = {refine_intrinsics ? settings.intrinsics_prior : *images[0]->camera,
-               {T_world_camera.begin(), T_world_camera.end()}};
+    cameras = {settings.intrinsics_prior, {T_world_camera.begin(), T_world_camera.end()}};
   } else {
-    cameras = start_from_tracks(images, tracks, refine_intrinsics);
+    cameras = start_from_tracks(images, tracks, settings.freedom);
   }
 
   std::vector<int> point_of;

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "bench/matching/pair_side.h"
+#include "corvid/ports.h"
 #include "corvid/pose.h"
 
 namespace corvid {
@@ -33,11 +34,11 @@ struct Reconstruction {
 /// from the adjusted cameras, those with an error over 3 px leave, and all is adjusted again.
 /// @param images  of one camera.
 /// @param T_world_camera  one per image, where it is known.
-/// @param refine_intrinsics  as BundleSettings has it.
+/// @param origin  of the intrinsics: those without a calibration are estimated, too.
 /// Deterministic.
 [[nodiscard]] Reconstruction reconstruct(std::span<const FramePtr> images,
                                          std::span<const std::optional<Pose>> T_world_camera,
                                          std::span<const MatchedPair> pairs,
-                                         bool refine_intrinsics);
+                                         IntrinsicsOrigin origin);
 
 }  // namespace corvid

@@ -44,6 +44,7 @@ struct AuxiliaryView {
     Eigen::Vector2d line_direction;  ///< unit, along the reference point's epipolar line
   };
   std::function<std::vector<float>(std::span<const Probe>)> support;
+  double peak_quality = 0.85;  ///< Q_m (thesis 4.3.1): what supports a candidate, share of the best
 };
 
 /// One run of one module.

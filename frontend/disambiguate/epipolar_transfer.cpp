@@ -12,7 +12,6 @@
 namespace corvid {
 namespace {
 
-constexpr double kQuality = 0.85;     // Q_m (thesis 4.3.1)
 constexpr double kHalfWindowPx = 15;  // of the 31 places along the line that are searched
 constexpr double kLeastSine = 0.01;   // nearer to the trifocal plane, F itself is not good enough
 
@@ -92,7 +91,8 @@ ModuleCounts accept_epipolar_transfer(MatchSets& sets, const Eigen::Matrix3d& F,
     std::vector<std::size_t> supported;
     for (std::size_t k = first; k < end; ++k) {
       all_seen = all_seen && !std::isnan(scores[k]);
-      if (scores[k] > 0 && static_cast<double>(scores[k]) >= kQuality * static_cast<double>(best))
+      if (scores[k] > 0 &&
+          static_cast<double>(scores[k]) >= auxiliary.peak_quality * static_cast<double>(best))
         supported.push_back(candidate_of[k]);
     }
     if (all_seen && supported.size() == 1) {

@@ -22,10 +22,10 @@ struct LineCrossing {
 /// Epipolar transfer (thesis 4.4.11): the candidates of a point of M that agree with F within
 /// max_epipolar_px are moved onto F exactly (correct_match()) and transferred to the auxiliary view
 /// as the crossing of the epipolar lines of both ends. A candidate is supported if the reference's
-/// template has a peak there (AuxiliaryView::support) whose score is at least Q_m = 0.85 of the
-/// best among the point's candidates and their transfers; it is accepted if it is the only one.
-/// Near the trifocal plane, where the crossing is not known to within the window of the search, a
-/// point is left alone.
+/// template has a peak there (AuxiliaryView::support) whose score is at least
+/// AuxiliaryView::peak_quality of the best among the point's candidates and their transfers; it is
+/// accepted if it is the only one. Near the trifocal plane, where the crossing is not known to
+/// within the window of the search, a point is left alone.
 ///
 /// One call of AuxiliaryView::support. F between the auxiliary view and the target is estimated
 /// from the points of U that have a match in the auxiliary view, if it is not known; without it, or

@@ -27,12 +27,14 @@ struct MatchSets {
     std::vector<Eigen::Vector2d> x_t;         ///< undistorted pixel of each candidate
     std::optional<std::size_t> accepted;      ///< index into candidates
     Withdrawn last_withdrawn = Withdrawn::nothing;
+    std::vector<Eigen::Vector2d> refused;  ///< where candidates were that are not any more [px]
 
     [[nodiscard]] bool in_m() const { return !accepted && !candidates.empty(); }
     /// Of a point in U [undistorted px].
     [[nodiscard]] const Eigen::Vector2d& match() const { return x_t[*accepted]; }
     /// Takes a candidate away; the point leaves U if it was the accepted one.
     void withdraw(std::size_t k, Withdrawn reason) {
+      refused.push_back(candidates[k].pixel);
       candidates.erase(candidates.begin() + static_cast<std::ptrdiff_t>(k));
       x_t.erase(x_t.begin() + static_cast<std::ptrdiff_t>(k));
       last_withdrawn = reason;

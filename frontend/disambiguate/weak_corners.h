@@ -1,6 +1,12 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <span>
+#include <vector>
+
+#include "frontend/track_search.h"
+#include "kernels/corners.h"
+#include "kernels/pyramid.h"
 
 namespace corvid {
 
@@ -13,5 +19,18 @@ namespace corvid {
 /// any texture (score 0) is; one whose score is not known is not.
 [[nodiscard]] bool is_weak_corner(float score_r, float score_t, const Eigen::Vector2f& point,
                                   int width_px, int height_px, double ratio);
+
+/// Weak-corner removal between two images: takes the weak ones out of the candidates of `points`
+/// and returns them, by point. Corner scores go with the square of the exposure, so they are
+/// compared after the typical ratio, the median over the points' best candidates.
+///
+/// @param reference,target  the images at one level of their pyramids
+/// @param points            whose templates were searched; like the candidates' places, full
+///                          resolution [px]
+/// @param kappa,ratio       of the Harris-Stephens score; tau_c
+[[nodiscard]] std::vector<std::vector<SearchCandidate>> take_weak_corners(
+    CornerDetector& corners, const DeviceImage& reference, const DeviceImage& target, int level,
+    std::span<const Eigen::Vector2d> points, double kappa, double ratio,
+    std::vector<std::vector<SearchCandidate>>& candidates);
 
 }  // namespace corvid

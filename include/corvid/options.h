@@ -51,8 +51,8 @@ struct MatchingOptions {
   int template_px = 11;            ///< NCC template side (thesis 4.1)
   double peak_quality = 0.85;      ///< Q_m (thesis 4.3.1)
   double min_score = 0.7;          ///< NCC score below which nothing is a match
-  int refine_template_px = 21;  ///< template side of the last measurement, whose warp is known well
-  double refine_min_score = 0.87;  ///< NCC score that a match needs in it
+  int refine_template_px = 15;     ///< template side of the last measurement (known warps)
+  double refine_min_score = 0.84;  ///< NCC score that a match needs in it
   double corner_score_ratio = 5;   ///< tau_c: weak-corner removal (thesis 4.3.2)
   int window_frames = 4;           ///< R_f: frames of the sliding window (thesis 4.1)
   DisambiguationOptions disambiguation;
@@ -70,6 +70,9 @@ struct BackendOptions {
   int max_iterations = 10;               ///< of one window adjustment
   int min_inliers = 20;                  ///< fewer agreeing landmarks: lost
   bool final_adjustment = true;          ///< adjust everything once more at the end of the run
+  /// Intrinsics that are estimated, too: auto, fixed, distortion (k1, k2) or all (focal length, k1,
+  /// k2). auto: all without a calibration, distortion where the calibration has none, else fixed.
+  std::string intrinsics = "auto";
   std::uint64_t seed = 1;                ///< of RANSAC
   [[nodiscard]] std::vector<std::string> validate() const;
 };

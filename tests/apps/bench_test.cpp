@@ -119,6 +119,11 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
       {{"bench", "matching", "synthetic:seeed=1"}, "seeed"},
       {{"bench", "matching", "synthetic:duration=0.1,rate=10,width=64,height=64"},
        "fewer than two images"},
+      {{"bench", "tracking"}, "SOURCE"},
+      {{"bench", "tracking", "synthetic", "--tracks", "3"}, "--tracks"},
+      {{"bench", "tracking", "synthetic", "--count", "0"}, "--count"},
+      {{"bench", "tracking", "synthetic", "--json", folder_.string()}, "is a folder"},
+      {{"bench", "tracking", "synthetic:seeed=1"}, "seeed"},
   };
   for (const Case& c : cases) {
     const Ran ran = corvid_run(c.arguments);
@@ -200,6 +205,26 @@ TEST_F(BenchTest, MatchingIsMeasuredAgainstSift) {
        {"sift_matches", "corvid_matches", "sift_points", "corvid_points", "sift_mse_px2",
         "corvid_mse_px2", "sift_truth_px", "corvid_truth_px", "sift_ms", "corvid_ms"})
     EXPECT_GT(rows[0].at(key), 0) << key;
+}
+
+TEST_F(BenchTest, TrackingIsTimedAndComparedWithTheTruth) {
+  const std::string file = path("tracking.json");
+  const std::string flight = "synthetic:duration=0.6,rate=20,width=320,height=240,seed=2";
+  const Ran ran =
+      corvid_run({"bench", "tracking", flight, kFlight, "--tracks", "150", "--json", file});
+  ASSERT_EQ(ran.code, 0) << ran.err;
+  EXPECT_THAT(ran.out, AllOf(HasSubstr("load average"), HasSubstr(flight), HasSubstr(kFlight)));
+  const json rows = json::parse(read(file));
+  ASSERT_EQ(rows.size(), 2U) << "one per source";
+  EXPECT_EQ(rows[0]["set"], flight);
+  EXPECT_EQ(rows[0]["frames"], 12);
+  EXPECT_EQ(rows[1]["frames"], 3);
+  for (const json& row : rows) {
+    EXPECT_EQ(row["max_tracks"], 150);
+    EXPECT_GT(row["median_ms"], 0);
+    EXPECT_GT(row["tracks"], 50);
+    EXPECT_LE(row["tracks"], 150);
+  }
 }
 
 TEST_F(BenchTest, SigintKeepsTheMatchesSoFar) {

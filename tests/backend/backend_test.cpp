@@ -42,9 +42,9 @@ struct Outcome {
   }
 };
 
-Outcome run_backend(const Flight& flight, bool refine_intrinsics = false, int threads = 1,
-                    const BackendOptions& options = {}) {
-  Backend backend(options, refine_intrinsics, threads);
+Outcome run_backend(const Flight& flight, IntrinsicsOrigin origin = IntrinsicsOrigin::calibration,
+                    int threads = 1, const BackendOptions& options = {}) {
+  Backend backend(options, origin, threads);
   Outcome r;
   for (const FrameTracks& tracks : flight.frames) {
     r.events.push_back(backend.add(tracks));
@@ -233,8 +233,10 @@ TEST(Backend, WrongIntrinsicsConvergeTowardsTheTruth) {
                 Eigen::Vector3d(9 * std::sin(a), 0.8 * std::sin(9 * t), 9 - 9 * std::cos(a)));
   };
   const Flight flight = test::Simulator(s).fly();
-  const Outcome fixed = run_backend(flight);
-  const Outcome refined = run_backend(flight, true);
+  BackendOptions options;
+  options.intrinsics = "fixed";
+  const Outcome fixed = run_backend(flight, IntrinsicsOrigin::nominal, 1, options);
+  const Outcome refined = run_backend(flight, IntrinsicsOrigin::nominal);
   const double f = refined.map->camera->fx_px;
   std::cout << "  focal length " << f << " of " << s.camera.fx_px << ", k "
             << refined.map->camera->distortion[0] << " " << refined.map->camera->distortion[1]
@@ -242,6 +244,33 @@ TEST(Backend, WrongIntrinsicsConvergeTowardsTheTruth) {
   EXPECT_NEAR(f / s.camera.fx_px, 1.0, 0.005);
   EXPECT_NEAR(refined.map->camera->fy_px / f, s.camera.fy_px / s.camera.fx_px, 1e-9);
   EXPECT_LT(refined.ate.rmse(), 0.6 * fixed.ate.rmse());
+}
+
+TEST(Backend, WhatRectificationLeftOfTheDistortionIsFound) {
+  Simulation s = sideways();
+  s.camera = test::radtan_camera();
+  s.camera.distortion = {0.025, -0.008, 0, 0, 0};
+  s.believed = s.camera;
+  s.believed.model = CameraModel::pinhole;  // "rectified"
+  s.believed.distortion = {};
+  const Flight flight = test::Simulator(s).fly();
+  const Outcome refined = run_backend(flight);
+  BackendOptions options;
+  options.intrinsics = "fixed";
+  const Outcome fixed = run_backend(flight, IntrinsicsOrigin::calibration, 1, options);
+  const Camera& found = *refined.map->camera;
+  std::cout << "  k " << found.distortion[0] << " " << found.distortion[1] << "\n";
+  EXPECT_NEAR(found.distortion[0], 0.025, 0.005);
+  EXPECT_EQ(found.fx_px, s.camera.fx_px);  // calibrated
+  EXPECT_EQ(fixed.map->camera->model, CameraModel::pinhole);
+  EXPECT_LT(refined.ate.rmse(), 0.5 * fixed.ate.rmse());
+}
+
+TEST(Backend, ACalibratedDistortionIsLeftAlone) {
+  Simulation s = sideways();
+  s.camera = test::radtan_camera();
+  const Outcome r = run_backend(test::Simulator(s).fly());
+  EXPECT_EQ(r.map->camera->distortion, s.camera.distortion);
 }
 
 TEST(Backend, FlatRaysLeaveTheIntrinsicsAlone) {
@@ -254,7 +283,7 @@ TEST(Backend, FlatRaysLeaveTheIntrinsicsAlone) {
   s.path = [](double t) { return Pose(test::wobble(t, 0.05), {2 * t, 0, 0}); };
   BackendOptions options;
   options.start_min_parallax_rad = 0.05;
-  const Outcome r = run_backend(test::Simulator(s).fly(), true, 1, options);
+  const Outcome r = run_backend(test::Simulator(s).fly(), IntrinsicsOrigin::nominal, 1, options);
   ASSERT_GE(r.map->keyframes.size(), 6U);
   EXPECT_EQ(r.map->camera->fx_px, s.believed.fx_px);
   EXPECT_EQ(r.map->camera->distortion, s.believed.distortion);
@@ -341,7 +370,7 @@ TEST(Backend, ClaimedCovarianceMatchesTheError) {
     const Flight flight = test::Simulator(s).fly();
     BackendOptions options;
     options.final_adjustment = false;
-    const Outcome r = run_backend(flight, false, 1, options);
+    const Outcome r = run_backend(flight, IntrinsicsOrigin::calibration, 1, options);
     // The world is the first keyframe; only the scale is free.
     const Pose T_first = flight.truth[0];
     const double scale = r.ate.alignment.T_target_source.scale();
@@ -364,7 +393,7 @@ TEST(Backend, ClaimedCovarianceMatchesTheError) {
 
 TEST(Backend, SnapshotsAreConsistentAndImmutable) {
   const Flight flight = test::Simulator(sideways()).fly();
-  Backend backend({}, false, 1);
+  Backend backend({}, IntrinsicsOrigin::calibration, 1);
   EXPECT_TRUE(backend.map()->keyframes.empty());
   ASSERT_NE(backend.motion(), nullptr);
   std::shared_ptr<const MapSnapshot> before;

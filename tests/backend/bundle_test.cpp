@@ -69,7 +69,7 @@ TEST(Bundle, IntrinsicsAreFound) {
   const Camera truth = c.truth.camera;
   BundleSettings settings;
   settings.max_iterations = 60;
-  settings.refine_intrinsics = true;
+  settings.freedom = IntrinsicsFreedom::all;
   settings.intrinsics_prior = truth;
   settings.intrinsics_prior.fx_px *= 1.03;
   settings.intrinsics_prior.fy_px *= 1.03;
@@ -79,6 +79,31 @@ TEST(Bundle, IntrinsicsAreFound) {
   EXPECT_NEAR(c.start.camera.fx_px / truth.fx_px, 1, 0.006);
   EXPECT_NEAR(c.start.camera.distortion[0], truth.distortion[0], 0.01);
   EXPECT_NEAR(c.start.camera.fx_px / c.start.camera.fy_px, truth.fx_px / truth.fy_px, 1e-12);
+}
+
+TEST(Bundle, AWholeLensIsFoundWhereTheRaysAreWide) {
+  Camera lens = test::radtan_camera();
+  lens.cx_px += 9;
+  lens.cy_px -= 7;
+  lens.distortion = {-0.2, 0.05, 0.002, -0.003, 0.01};
+  Case c = make_case(lens, 12, 400, 0.1, 7);
+  BundleSettings settings;
+  settings.max_iterations = 100;
+  settings.freedom = IntrinsicsFreedom::focal;
+  settings.intrinsics_prior = test::radtan_camera();
+  settings.intrinsics_prior.distortion = {-0.2, 0.05, 0, 0, 0};
+  c.start.camera = settings.intrinsics_prior;
+  BundleProblem focal = c.start;
+  ASSERT_TRUE(adjust(focal, settings).ok);
+  EXPECT_EQ(focal.camera.cx_px, settings.intrinsics_prior.cx_px);
+  EXPECT_EQ(focal.camera.distortion[2], 0);
+  settings.freedom = IntrinsicsFreedom::all;
+  ASSERT_TRUE(adjust(c.start, settings).ok);
+  const Camera& found = c.start.camera;
+  EXPECT_NEAR(found.cx_px, lens.cx_px, 1.5);
+  EXPECT_NEAR(found.cy_px, lens.cy_px, 1.5);
+  EXPECT_NEAR(found.distortion[2], 0.002, 0.001);
+  EXPECT_NEAR(found.distortion[3], -0.003, 0.001);
 }
 
 TEST(Bundle, AnEmptyProblemIsNoSuccessAndChangesNothing) {

@@ -10,13 +10,6 @@
 namespace corvid {
 namespace {
 
-/// A pure sideways motion of a pinhole: epipolar lines are image rows.
-Eigen::Matrix3d rows_geometry() {
-  Eigen::Matrix3d F;
-  F << 0, 0, 0, 0, 0, -1, 0, 1, 0;
-  return F;
-}
-
 TEST(RatioInequalities, TheBestIsTakenOnlyIfItIsGoodAndNoOtherIs) {
   const auto test = [](std::vector<double> costs) { return ratio_inequalities(costs, 1.5, 2.0); };
   EXPECT_EQ(test({5, 1, 4}), 1U);

@@ -53,4 +53,21 @@ inline double quantile(std::vector<double> values, double q) {
   return values.at(static_cast<std::size_t>(q * static_cast<double>(values.size() - 1)));
 }
 
+/// Distances [px] between where features were found and where the rendered scene says that they are
+/// (true_place()). Features that are hidden there count with the distance to where they would be.
+struct TruthErrors {
+  std::vector<double> px;
+
+  void add(const SyntheticFlight& flight, const Pose& T_world_a, const FloatImage& depth_a,
+           const Eigen::Vector2d& x_a, const Pose& T_world_b, const Eigen::Vector2d& x_b) {
+    const auto x = true_place(flight, T_world_a, depth_a, x_a, T_world_b);
+    if (x) px.push_back((*x - x_b).norm());
+  }
+  [[nodiscard]] double quantile(double q) const { return test::quantile(px, q); }
+  [[nodiscard]] double share_above(double limit_px) const {
+    const auto above = std::count_if(px.begin(), px.end(), [&](double e) { return e > limit_px; });
+    return static_cast<double>(above) / static_cast<double>(std::max<std::size_t>(1, px.size()));
+  }
+};
+
 }  // namespace corvid::test

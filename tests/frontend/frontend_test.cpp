@@ -14,17 +14,7 @@ namespace {
 
 using test::device;
 using test::small_flight;
-
-/// Distance between where features were found and where the rendered scene says that they are.
-struct TruthErrors {
-  std::vector<double> px;
-  void add(const SyntheticFlight& flight, const Pose& T_world_a, const FloatImage& depth_a,
-           const Eigen::Vector2d& x_a, const Pose& T_world_b, const Eigen::Vector2d& x_b) {
-    const auto x = test::true_place(flight, T_world_a, depth_a, x_a, T_world_b);
-    if (x) px.push_back((*x - x_b).norm());
-  }
-  [[nodiscard]] double quantile(double q) const { return test::quantile(px, q); }
-};
+using test::TruthErrors;
 
 TEST(WeakCorners, KnowWhereTheDetectorGivesScores) {
   auto corners = CornerDetector::create(device());
@@ -42,6 +32,46 @@ TEST(WeakCorners, KnowWhereTheDetectorGivesScores) {
   for (std::size_t i = 0; i < points.size(); ++i)
     EXPECT_EQ(has_corner_score(points[i], 40, 30), scores[i].lambda_min > 0)
         << points[i].transpose();
+}
+
+TEST(WeakCorners, AreTakenWhateverTheExposure) {
+  auto corners = CornerDetector::create(device());
+  auto pyramids = PyramidBuilder::create(device());
+  ASSERT_TRUE(corners && pyramids);
+  const GreyImage image = SyntheticFlight(small_flight()).render(0)->grey;
+  CornerOptions corner_options;
+  corner_options.max_count = 200;
+  corner_options.border_px = 20;
+  for (const double gain : {1.0, 0.4, 0.2}) {
+    GreyImage darker = image;
+    for (int y = 0; y < image.height(); ++y)
+      for (int x = 0; x < image.width(); ++x)
+        darker(x, y) = static_cast<std::uint8_t>(gain * image(x, y) + 0.5);
+    const Eigen::Vector2d flat(30, 30);
+    for (int y = 10; y < 50; ++y)
+      for (int x = 10; x < 50; ++x) darker(x, y) = 90;
+    const auto r = pyramids->build(image, 1, Lane::tracking);
+    const auto t = pyramids->build(darker, 1, Lane::tracking);
+    std::vector<Eigen::Vector2d> points;
+    std::vector<std::vector<SearchCandidate>> candidates;
+    for (const Corner& corner : corners->detect(r->level(0), corner_options)) {
+      points.emplace_back(corner.x_px, corner.y_px);
+      if ((points.back() - flat).cwiseAbs().maxCoeff() < 30)
+        points.pop_back();
+      else
+        candidates.push_back({{points.back(), 0.9F}, {flat, 0.8F}});
+    }
+    ASSERT_GT(points.size(), 100U);
+    const auto weak =
+        take_weak_corners(*corners, r->level(0), t->level(0), 0, points, 0.04, 5, candidates);
+    ASSERT_EQ(weak.size(), points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      ASSERT_EQ(candidates[i].size(), 1U) << "gain " << gain;
+      EXPECT_EQ(candidates[i][0].pixel, points[i]);
+      ASSERT_EQ(weak[i].size(), 1U);
+      EXPECT_EQ(weak[i][0].pixel, flat);
+    }
+  }
 }
 
 TEST(Frontend, TracksOfAFlightStayOnTheScene) {

@@ -15,12 +15,6 @@
 namespace corvid {
 namespace {
 
-/// A pure sideways motion of a pinhole: epipolar lines are image rows.
-Eigen::Matrix3d rows_geometry() {
-  Eigen::Matrix3d F;
-  F << 0, 0, 0, 0, 0, -1, 0, 1, 0;
-  return F;
-}
 /// A pure forward motion: epipolar lines are rays out of (100, 100), in both images.
 Eigen::Matrix3d rays_geometry() { return skew({100, 100, 1}); }
 

@@ -73,6 +73,13 @@ inline MatchSets::Point match_point(const Eigen::Vector2d& x_r, const std::vecto
   return point;
 }
 
+/// A pure sideways motion of a pinhole: epipolar lines are image rows.
+inline Eigen::Matrix3d rows_geometry() {
+  Eigen::Matrix3d F;
+  F << 0, 0, 0, 0, 0, -1, 0, 1, 0;
+  return F;
+}
+
 /// How candidates are made of a scene. Shares of the points, in this order; the rest is ambiguous:
 /// the true candidate and others of about its score.
 struct CandidateShape {

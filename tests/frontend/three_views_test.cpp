@@ -285,6 +285,22 @@ TEST(EpipolarTransfer, TwoSupportedCandidatesOrAWeakOneAreNoAnswer) {
   }
 }
 
+TEST(EpipolarTransfer, HowGoodAPeakMustBeIsTheViewsToSay) {
+  const MatchScene scene = make_scene(300, 9);
+  for (const double quality : {0.85, 0.5}) {
+    MatchSets sets = along_the_line(scene);
+    AuxiliaryView view = auxiliary_of(scene);
+    view.F_auxiliary_target = scene.F_at;
+    view.peak_quality = quality;
+    view.support = [](std::span<const AuxiliaryView::Probe> probes) {
+      std::vector<float> scores(probes.size(), -1.0F);
+      scores[0] = 0.55F;  // of the candidates' 0.95: 0.58
+      return scores;
+    };
+    EXPECT_EQ(accept_epipolar_transfer(sets, scene.F_tr, view, {}).accepted, quality < 0.58);
+  }
+}
+
 TEST(EpipolarTransfer, OnTheTrifocalPlaneThereIsNoAnswer) {
   MatchSets sets;
   AuxiliaryView view;

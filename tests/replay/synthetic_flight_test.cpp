@@ -7,6 +7,7 @@
 #include <cmath>
 #include <set>
 
+#include "core/median.h"
 #include "oracle/ray_mesh.h"
 #include "replay/random.h"
 #include "scenes/rendered_views.h"
@@ -14,12 +15,6 @@
 namespace corvid {
 namespace {
 using scenes::RenderedView;
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 FlightOptions tiny(FlightPath path = FlightPath::survey) {
   FlightOptions options = scenes::small_flight(path);
@@ -149,7 +144,7 @@ TEST(SyntheticFlight, SurfacePointsLookTheSameInEveryFrame) {
                                        views[0].frame->grey(x, y)));
       }
     EXPECT_GT(differences.size(), 5000u);
-    return median(differences);
+    return upper_median(differences);
   };
   const double right = difference(0), wrong = difference(0.3);
   EXPECT_LT(right, 1.5) << "[grey levels]";
@@ -175,8 +170,8 @@ TEST(SyntheticFlight, PatternsAreFilteredNotSampled) {
       filtered.push_back(std::abs(std::sqrt(light) - small(x, y)));
       sampled.push_back(std::abs(large(4 * x + 2, 4 * y + 2) - small(x, y)));
     }
-  EXPECT_LT(median(filtered), 2.0) << "[grey levels]";
-  EXPECT_LT(median(filtered), 0.6 * median(sampled));
+  EXPECT_LT(upper_median(filtered), 2.0) << "[grey levels]";
+  EXPECT_LT(upper_median(filtered), 0.6 * upper_median(sampled));
 }
 
 TEST(SyntheticFlight, EveryLensSeesTheTrueSurface) {
