@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "backend/triangulate.h"
@@ -32,12 +33,19 @@ struct MapTrack {
   bool dead = false;  ///< the frontend follows the wrong thing: later observations do not count
 };
 
+/// A measured camera centre: sqrt_information * (t - p_world) has unit covariance.
+struct PositionPrior {
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d sqrt_information = Eigen::Matrix3d::Zero();
+};
+
 struct MapKeyframe {
   FramePtr frame;
   int segment = 0;
   Pose T_world_camera;
   Matrix6d covariance = Matrix6d::Zero();  ///< right perturbation, relative to the segment's start
   std::vector<TrackId> tracks;             ///< ascending; those with a view here or once had
+  std::optional<PositionPrior> position;   ///< set by MapPositions
   std::shared_ptr<const Keyframe> published;  ///< null if it changed since
 };
 

@@ -1,6 +1,7 @@
 #include "backend/window.h"
 
 #include <algorithm>
+#include <set>
 
 #include "backend/bundle.h"
 #include "core/check.h"
@@ -46,6 +47,12 @@ Part collect(MapData& map, const std::vector<std::uint8_t>& moving, int first) {
       }
       part.problem.observations.push_back({pose_of[k], point, v.pixel, v.sigma_px});
     }
+  }
+  for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
+    const auto& position = map.keyframes[static_cast<std::size_t>(part.keyframes[i])].position;
+    if (!position || part.problem.fixed[i] != 0) continue;
+    part.problem.positions.push_back(
+        {static_cast<int>(i), position->p_world, position->sqrt_information});
   }
   return part;
 }
@@ -204,7 +211,12 @@ bool adjust_all(MapData& map, const BackendOptions& options, int threads,
   for (int round = 0; round < kRounds; ++round) {
     Part part = collect(map, std::vector<std::uint8_t>(map.keyframes.size(), 1), 0);
     if (part.keyframes.size() < 2) return false;
-    // Gauge of every segment: its first keyframe, and the distance to its second.
+    // Gauge of every segment: its positions, or else its first keyframe, and the distance to its
+    // second.
+    std::set<int> placed;
+    for (const MapKeyframe& k : map.keyframes) {
+      if (k.position) placed.insert(k.segment);
+    }
     std::vector<std::pair<int, int>> order;
     for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
       order.emplace_back(part.keyframes[i], static_cast<int>(i));
@@ -214,7 +226,7 @@ bool adjust_all(MapData& map, const BackendOptions& options, int threads,
       return map.keyframes[static_cast<std::size_t>(order[i].first)].segment;
     };
     for (std::size_t i = 0; i < order.size(); ++i) {
-      if (i > 0 && segment(i) == segment(i - 1)) continue;
+      if ((i > 0 && segment(i) == segment(i - 1)) || placed.count(segment(i)) != 0) continue;
       part.problem.fixed[static_cast<std::size_t>(order[i].second)] = 1;
       if (i + 1 < order.size() && segment(i + 1) == segment(i)) {
         part.problem.hold_distance.emplace_back(order[i].second, order[i + 1].second);

@@ -30,6 +30,8 @@ struct RunResult {
   Trajectory trajectory;          ///< every frame that has a pose, with all later corrections
   std::shared_ptr<const MapSnapshot> map;
   std::vector<DepthMap> depth_maps;
+  /// One per map segment. Everything above is in the map's frame.
+  std::vector<MapPlacement> placements;
   TriangleMesh mesh;
   double voxel_size = 0;  ///< [map units]
   std::vector<StageMetrics> stages;
