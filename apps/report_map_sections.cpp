@@ -92,8 +92,8 @@ std::string map_section(const ReportFacts& facts) {
   const auto picture = picture_of_landmarks(result.map->landmarks, path, axes);
   PlotOptions options;
   options.title = "Landmarks from above";
-  options.x_label = axes.right_name + " [map units]";
-  options.y_label = axes.forward_name + " [map units]";
+  options.x_label = fmt::format("{} [{}]", axes.right_name, unit_of(result));
+  options.y_label = fmt::format("{} [{}]", axes.forward_name, unit_of(result));
   options.width_px = 1140;
   options.equal_axes = true;
   std::string html = svg_plot(options, series, {}, picture ? &*picture : nullptr);

@@ -88,19 +88,13 @@ std::optional<Times> times_from_exif(ImageList& list) {
     return lower.ends_with(".jpg") || lower.ends_with(".jpeg");
   });
   if (first == list.entries.end()) return {};
-  if (const auto exif = read_exif(first->path); !exif || (!exif->time_ns && !exif->has_gps)) {
+  if (const auto exif = read_exif(first->path); !exif || !exif->time_ns) {
     return {};
   }
   Times times;
-  std::size_t with_gps = 0;
   for (const ImageEntry& entry : list.entries) {
     const std::optional<Exif> exif = read_exif(entry.path);
     if (exif && exif->time_ns) times.push_back(*exif->time_ns);
-    if (exif && exif->has_gps) ++with_gps;
-  }
-  if (with_gps > 0) {
-    list.notes.push_back(
-        fmt::format("the GPS positions in the EXIF of {} images are not used", with_gps));
   }
   if (times.size() != list.entries.size()) return {};
   spread_equal(times);
