@@ -56,11 +56,7 @@ Expected<Options> resolve(const Arguments& arguments) {
 Expected<std::vector<PositionFix>> positions_of(const std::string& asked,
                                                 const FrameSource& source) {
   if (asked == "none") return std::vector<PositionFix>{};
-  if (asked.empty()) {
-    std::vector<PositionFix> fixes = source.positions();
-    if (!fixes.empty()) log().info("{} images have a position in their EXIF", fixes.size());
-    return fixes;
-  }
+  if (asked.empty()) return source.positions();
   auto file = read_positions(asked);
   if (!file) return tl::unexpected(file.error());
   log().info("{}: {} positions{}", asked, file->fixes.size(),

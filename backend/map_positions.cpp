@@ -206,13 +206,20 @@ void MapPositions::follow(MapData& map, int segment) {
   std::vector<std::size_t> placed = placed_keyframes(map, segment);
   if (placed.size() > kNewest)
     placed.erase(placed.begin(), placed.end() - static_cast<std::ptrdiff_t>(kNewest));
-  GeoAlignment a = align(map, placed, map.keyframes.size() - 1, known(segment));
+  const auto both = [&] {
+    GeoAlignment here = align(map, placed, map.keyframes.size() - 1, known(segment));
+    if (here.ok()) return here;
+    // A map that has not bent at all may know more from afar.
+    GeoAlignment all = align(map, placed, std::nullopt, known(segment));
+    return all.ok() ? all : here;
+  };
+  GeoAlignment a = both();
   if (a.ok() && !frame_is_final_) {
     const auto agrees = std::find(a.inlier.begin(), a.inlier.end(), std::uint8_t{1});
     const std::size_t k = placed[static_cast<std::size_t>(agrees - a.inlier.begin())];
     frame_.emplace(to_geodetic(matches_[k].fix->p_ecef));
     frame_is_final_ = true;
-    a = align(map, placed, map.keyframes.size() - 1, std::nullopt);
+    a = both();
   }
   publish(map, segment, placed, a);
 }

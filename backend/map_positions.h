@@ -30,7 +30,8 @@ class MapPositions {
   /// Aligns a segment with the positions around its newest keyframe, and sets the
   /// MapKeyframe::position of those keyframes whose position agrees. A map drifts: a position
   /// counts the less, the longer the way between it and the newest keyframe (standard deviation
-  /// 2 % of the way), so that poses are right on Earth here and now.
+  /// 2 % of the way), so that poses are right on Earth here and now. Where that is not enough, one
+  /// similarity for all positions is tried.
   void follow(MapData& map, int segment);
   /// The same over the whole segment, where one similarity fits it; otherwise as follow().
   /// @return false if the map has drifted too far for one similarity.

@@ -26,6 +26,7 @@ bool rises(const Times& times) {
 // Names that are times: 13, 16 or 19 digits (ms, us, ns since 1970) or decimal seconds.
 std::optional<Times> times_from_names(const std::vector<ImageEntry>& entries) {
   Times times;
+  std::size_t with_gps = 0;
   for (const ImageEntry& entry : entries) {
     const std::string stem = fs::path(entry.name).stem().string();
     std::optional<std::int64_t> time;
@@ -88,13 +89,17 @@ std::optional<Times> times_from_exif(ImageList& list) {
     return lower.ends_with(".jpg") || lower.ends_with(".jpeg");
   });
   if (first == list.entries.end()) return {};
-  if (const auto exif = read_exif(first->path); !exif || !exif->time_ns) {
+  if (const auto exif = read_exif(first->path); !exif || (!exif->time_ns && !exif->gps)) {
     return {};
   }
   Times times;
   for (const ImageEntry& entry : list.entries) {
     const std::optional<Exif> exif = read_exif(entry.path);
     if (exif && exif->time_ns) times.push_back(*exif->time_ns);
+    if (exif && exif->gps) ++with_gps;
+  }
+  if (with_gps > 0) {
+    list.notes.push_back(fmt::format("GPS positions in the EXIF of {} images", with_gps));
   }
   if (times.size() != list.entries.size()) return {};
   spread_equal(times);
