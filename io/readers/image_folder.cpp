@@ -26,7 +26,6 @@ bool rises(const Times& times) {
 // Names that are times: 13, 16 or 19 digits (ms, us, ns since 1970) or decimal seconds.
 std::optional<Times> times_from_names(const std::vector<ImageEntry>& entries) {
   Times times;
-  std::size_t with_gps = 0;
   for (const ImageEntry& entry : entries) {
     const std::string stem = fs::path(entry.name).stem().string();
     std::optional<std::int64_t> time;
@@ -93,6 +92,7 @@ std::optional<Times> times_from_exif(ImageList& list) {
     return {};
   }
   Times times;
+  std::size_t with_gps = 0;
   for (const ImageEntry& entry : list.entries) {
     const std::optional<Exif> exif = read_exif(entry.path);
     if (exif && exif->time_ns) times.push_back(*exif->time_ns);

@@ -112,6 +112,7 @@ RunResult two_segments() {
   result.depth_maps.push_back(depth);
   result.mesh.vertices.emplace_back(0.0F, 0.0F, 1.0F);
   result.mesh.normals.emplace_back(0.0F, 0.0F, 1.0F);
+  result.mesh.triangles.push_back({0, 0, 0});
   result.voxel_size = 0.5;
   result.placements.resize(2);
   return result;
