@@ -76,7 +76,7 @@ struct Outcome {
 
 /// @param fixes  each is pushed with the first frame at or after its time.
 Outcome fly(const Flight& flight, const std::vector<PositionFix>& fixes, bool all_at_once = false) {
-  Backend backend(BackendOptions{}, false, 1);
+  Backend backend(BackendOptions{}, IntrinsicsOrigin::calibration, 1);
   Outcome r;
   if (all_at_once) backend.add_positions(fixes);
   std::size_t next = all_at_once ? fixes.size() : 0;
@@ -174,7 +174,7 @@ TEST(MapPositions, LateShuffledDuplicatedAndBrokenFixesCountOnce) {
 
   // Each fix two seconds after its time.
   std::vector<PositionFix> late = fixes;
-  Backend backend(BackendOptions{}, false, 1);
+  Backend backend(BackendOptions{}, IntrinsicsOrigin::calibration, 1);
   std::size_t next = 0;
   for (const FrameTracks& tracks : flight.frames) {
     const std::size_t first = next;
