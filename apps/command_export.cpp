@@ -56,7 +56,9 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const std::string name =
       arguments.format == "glb-plain" ? "mesh-plain.glb" : "mesh." + arguments.format;
   const auto out = out_or(name.c_str());
-  if (auto written = write_mesh(*mesh, out, format); !written) {
+  MeshWriteOptions options;
+  options.z_up = run_is_on_earth(folder);
+  if (auto written = write_mesh(*mesh, out, format, options); !written) {
     return tl::unexpected(written.error());
   }
   context.out << fmt::format("{}: {} vertices, {} triangles\n", out.string(), mesh->vertices.size(),

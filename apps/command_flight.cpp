@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <ostream>
@@ -114,6 +116,39 @@ std::string commonest_reason(const RunResult& result) {
   return best;
 }
 
+// Positions that were given but belong to no keyframe: most likely the clocks differ.
+std::string unmatched(const std::vector<PositionFix>& positions, const RunResult& result) {
+  const bool used = std::any_of(result.placements.begin(), result.placements.end(),
+                                [](const MapPlacement& p) { return p.positions > 0; });
+  if (positions.empty() || used || result.events.empty()) return {};
+  std::string note =
+      fmt::format("None of the {} positions belongs to a keyframe", positions.size());
+  if (!positions.front().frame_name.empty()) return note + ": the names are those of other images.";
+  const auto [first, last] =
+      std::minmax_element(positions.begin(), positions.end(),
+                          [](const auto& a, const auto& b) { return a.time_ns < b.time_ns; });
+  return note + fmt::format(": their times are {} to {} ns, the frames' {} to {} ns.",
+                            first->time_ns, last->time_ns, result.events.front().time_ns,
+                            result.events.back().time_ns);
+}
+
+// "metric: ..." or why not, of the segment that the results lie in.
+std::string describe_scale(const RunResult& result) {
+  if (result.placements.empty()) return "arbitrary: no map";
+  const auto most =
+      std::max_element(result.placements.begin(), result.placements.end(),
+                       [](const MapPlacement& a, const MapPlacement& b) {
+                         return std::pair(a.scale, a.positions) < std::pair(b.scale, b.positions);
+                       });
+  if (most->scale != MapScale::metric) return "arbitrary: " + most->reason;
+  return fmt::format(
+      "metric, east north up from {:.7f} {:.7f} {:.2f} m; {} of {} positions agree ({:.2f} m "
+      "rmse), "
+      "scale to {:.2g} %",
+      most->origin.latitude_deg, most->origin.longitude_deg, most->origin.altitude_m, most->inliers,
+      most->positions, most->rmse_m, 100 * std::sqrt(most->covariance(6, 6)));
+}
+
 std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, const Truth& truth,
                                  const fs::path& out) {
   std::vector<std::string> lines;
@@ -132,6 +167,7 @@ std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, c
                            states, n.untracked_after_start));
   row("map", fmt::format("{} keyframes, {} landmarks, {} segment{}", n.keyframes, n.landmarks,
                          n.segments, n.segments == 1 ? "" : "s"));
+  row("scale", describe_scale(result));
   if (result.options.mapping.enabled) {
     row("mesh", fmt::format("{} triangles from {} depth maps", n.triangles, n.depth_maps));
   }
@@ -184,6 +220,7 @@ Json end_json(const RunResult& result, const RunNumbers& n, const Truth& truth, 
                {"keyframes", n.keyframes},
                {"landmarks", n.landmarks},
                {"segments", n.segments},
+               {"scale", result.enu_origin ? "metric" : "arbitrary"},
                {"depth_maps", n.depth_maps},
                {"triangles", n.triangles},
                {"wall_s", result.wall_s},
@@ -249,6 +286,10 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
                 {"out", fs::absolute(plan.out).lexically_normal().string()}});
   }
 
+  PositionFeed positions;
+  for (const PositionFix& fix : plan.positions) {
+    if (auto pushed = positions.push(fix); !pushed) log().warn("{}", pushed.error().to_string());
+  }
   auto result = [&] {
     Fanout listeners;
     if (plan.json) listeners.add(&json);
@@ -257,11 +298,14 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
       progress.emplace(player.info().frames, clock);
       listeners.add(&*progress);
     }
-    return (*engine)->run(player, {&listeners, &listeners}, signals.token());
+    return (*engine)->run(player, {&listeners, &listeners}, signals.token(), &positions);
   }();
   if (!result) return tl::unexpected(result.error());
   for (const std::string& message : result->counts.messages) log().warn("skipped: {}", message);
 
+  place_on_earth(*result);
+  if (const std::string note = unmatched(plan.positions, *result); !note.empty())
+    result->notes.push_back(note);
   const Truth truth = compare(*result, source, plan.truth);
   log().info("writing {}", plan.out.string());
   const RunReportInput input{*result, truth.trajectory, truth.surface, CORVID_VERSION,

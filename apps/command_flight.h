@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "apps/program.h"
 #include "apps/signal_guard.h"
@@ -16,7 +17,8 @@ struct FlightPlan {
   std::unique_ptr<FrameSource> source;  ///< not paced
   std::optional<double> rate;           ///< of the player; nothing: as fast as possible
   Options options;
-  Trajectory truth;  ///< instead of the source's own; empty: the source's own
+  Trajectory truth;                    ///< instead of the source's own; empty: the source's own
+  std::vector<PositionFix> positions;  ///< of the camera on Earth
   std::filesystem::path out;
   bool json = false;
 };

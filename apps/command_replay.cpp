@@ -6,13 +6,16 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "apps/command_flight.h"
 #include "apps/command_list.h"
 #include "apps/engine_options.h"
 #include "apps/program_source.h"
 #include "apps/signal_guard.h"
+#include "core/log.h"
 #include "io/options_file.h"
+#include "io/positions_file.h"
 #include "io/trajectory_file.h"
 
 namespace corvid {
@@ -21,7 +24,7 @@ namespace {
 struct Arguments {
   SourceArguments source;
   EngineArguments engine;
-  std::string out, rate = "max", truth;
+  std::string out, rate = "max", truth, positions;
   std::optional<int> threads;
   bool no_mapping = false, json = false;
 };
@@ -49,6 +52,18 @@ Expected<Options> resolve(const Arguments& arguments) {
   return options;
 }
 
+/// What --positions asks for; without it, what came with the images.
+Expected<std::vector<PositionFix>> positions_of(const std::string& asked,
+                                                const FrameSource& source) {
+  if (asked == "none") return std::vector<PositionFix>{};
+  if (asked.empty()) return source.positions();
+  auto file = read_positions(asked);
+  if (!file) return tl::unexpected(file.error());
+  log().info("{}: {} positions{}", asked, file->fixes.size(),
+             file->without_fix > 0 ? fmt::format(", {} rows without one", file->without_fix) : "");
+  return std::move(file->fixes);
+}
+
 Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const SignalGuard signals;
   FlightPlan plan;
@@ -65,6 +80,9 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   }
   auto source = arguments.source.open();
   if (!source) return tl::unexpected(source.error());
+  auto positions = positions_of(arguments.positions, **source);
+  if (!positions) return tl::unexpected(positions.error());
+  plan.positions = std::move(*positions);
   plan.source = std::move(*source);
   plan.out = arguments.out;
   plan.json = arguments.json;
@@ -89,6 +107,9 @@ Action add_replay_command(CLI::App& app) {
                       "CPU budget; 0: all cores; 1: everything inline, bit-repeatable");
   command->add_option("--truth", a->truth,
                       "True trajectory (TUM, KITTI, EuRoC), instead of the source's own");
+  command->add_option("--positions", a->positions,
+                      "GNSS positions of the camera, csv (docs/formats.md): the map gets its scale "
+                      "and place on Earth; none: not even those in the images' EXIF");
   command->add_flag("--no-mapping", a->no_mapping, "No depth maps, voxels and mesh");
   command->add_flag("--json", a->json,
                     "One line of JSON per event on the standard output (docs/user-guide.md)");
@@ -99,6 +120,7 @@ Examples:
   corvid replay ~/data/MH_05 --out run
   corvid replay photos/ --out run --calibration cam.yaml --device gpu
   corvid replay ~/data/MH_05 --out run --rate 1.0 --set frontend.max_tracks=500
+  corvid replay ~/flights/12 --out run --positions gnss.csv
   corvid replay synthetic:seed=3,duration=10,path=orbit --out run --threads 1
 )");
   return [a](Context& context) { return run(*a, context); };

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <cmath>
 #include <memory>
 #include <nlohmann/json.hpp>
 
@@ -60,6 +61,29 @@ Json to_json(const SourceCounts& counts) {
           {"messages", counts.messages}};
 }
 
+Json to_json(const GeodeticPosition& position) {
+  return {{"latitude_deg", position.latitude_deg},
+          {"longitude_deg", position.longitude_deg},
+          {"altitude_m", position.altitude_m}};
+}
+
+Json to_json(const MapPlacement& placement) {
+  Json json = {{"scale", to_string(placement.scale)}};
+  if (!placement.reason.empty()) json["reason"] = placement.reason;
+  json["positions"] = placement.positions;
+  if (placement.scale != MapScale::metric) return json;
+  const Sim3& T = placement.T_enu_map;
+  const Eigen::Quaterniond& q = T.rotation();
+  json["inliers"] = placement.inliers;
+  json["rmse_m"] = placement.rmse_m;
+  json["metres_per_unit"] = T.scale();
+  json["metres_per_unit_sigma"] = T.scale() * std::sqrt(placement.covariance(6, 6));
+  json["rotation_xyzw"] = {q.x(), q.y(), q.z(), q.w()};
+  json["translation_m"] = {T.translation().x(), T.translation().y(), T.translation().z()};
+  json["origin"] = to_json(placement.origin);
+  return json;
+}
+
 Json to_json(const PoseEvent& event) {
   Json json = {{"event", "pose"},
                {"frame", event.frame.value},
@@ -76,6 +100,13 @@ Json to_json(const PoseEvent& event) {
       for (int column = row; column < 6; ++column) upper.push_back(event.covariance(row, column));
     }
     json["covariance_upper"] = std::move(upper);
+  }
+  json["scale"] = to_string(event.scale);
+  if (event.T_world_camera && event.scale == MapScale::metric) {
+    const Pose T = event.placement->T_enu_map * *event.T_world_camera;
+    const Eigen::Quaterniond& q = T.rotation();
+    json["position_enu_m"] = {T.translation().x(), T.translation().y(), T.translation().z()};
+    json["rotation_enu_xyzw"] = {q.x(), q.y(), q.z(), q.w()};
   }
   json["tracks"] = event.tracks;
   json["inliers"] = event.inliers;

@@ -20,6 +20,8 @@ void write_json_line(std::ostream& out, const nlohmann::ordered_json& json);
 [[nodiscard]] nlohmann::ordered_json to_json(const SourceInfo& info);
 [[nodiscard]] nlohmann::ordered_json to_json(const SourceCounts& counts);
 [[nodiscard]] nlohmann::ordered_json to_json(const PoseEvent& event);
+[[nodiscard]] nlohmann::ordered_json to_json(const MapPlacement& placement);
+[[nodiscard]] nlohmann::ordered_json to_json(const GeodeticPosition& position);
 [[nodiscard]] nlohmann::ordered_json to_json(const MeshBlock& block);
 
 /// One JSON object per pose and mesh block, one per line. Thread-safe.

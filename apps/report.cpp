@@ -14,7 +14,7 @@ namespace {
 std::string length_unit(const ReportFacts& facts) {
   return facts.input.trajectory_errors && facts.input.trajectory_errors->problem.empty()
              ? "m"
-             : "map units";
+             : unit_of(facts.input.result);
 }
 
 std::string title_of(const RunResult& result) {

@@ -31,6 +31,11 @@ struct ReportFacts {
 
 /// The same numbers, schema in docs/formats.md.
 [[nodiscard]] std::string report_json(const ReportFacts& facts);
+/// Unit of length of the run's results.
+[[nodiscard]] inline const char* unit_of(const RunResult& result) {
+  return result.enu_origin ? "m" : "map units";
+}
+
 inline constexpr int kRunSchemaVersion = 1;
 
 // Parts of the page, each one <section> (report_sections.cpp, report_map_sections.cpp).

@@ -118,6 +118,12 @@ std::string report_json(const ReportFacts& facts) {
     out["states"][std::string(to_string(static_cast<TrackingState>(i)))] = n.states[i];
   }
   out["trajectory"] = {{"poses", n.poses}, {"path_length", n.path_length}};
+  out["world"] = {{"frame", result.enu_origin ? "enu" : "map"},
+                  {"unit", result.enu_origin ? "m" : "arbitrary"},
+                  {"origin", nullptr},
+                  {"segments", Json::array()}};
+  if (result.enu_origin) out["world"]["origin"] = to_json(*result.enu_origin);
+  for (const MapPlacement& p : result.placements) out["world"]["segments"].push_back(to_json(p));
   out["tracking"] = {{"tracks", of(n.tracks)},
                      {"inliers", of(n.inliers)},
                      {"reprojection_rms_px", of(n.rms_px)},

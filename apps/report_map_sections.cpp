@@ -92,8 +92,8 @@ std::string map_section(const ReportFacts& facts) {
   const auto picture = picture_of_landmarks(result.map->landmarks, path, axes);
   PlotOptions options;
   options.title = "Landmarks from above";
-  options.x_label = axes.right_name + " [map units]";
-  options.y_label = axes.forward_name + " [map units]";
+  options.x_label = fmt::format("{} [{}]", axes.right_name, unit_of(result));
+  options.y_label = fmt::format("{} [{}]", axes.forward_name, unit_of(result));
   options.width_px = 1140;
   options.equal_axes = true;
   std::string html = svg_plot(options, series, {}, picture ? &*picture : nullptr);
@@ -133,12 +133,11 @@ std::string depth_section(const ReportFacts& facts) {
     html += "<div class=\"trio\">";
     const Keyframe* keyframe = find_keyframe(result, map.keyframe);
     if (keyframe && undistort) html += photo_of(*keyframe, *undistort);
-    html += html_picture(
-        name + ", depth",
-        depth.far > 0
-            ? fmt::format("{} to {} map units", format_number(depth.near), format_number(depth.far))
-            : std::string("no pixel has an answer"),
-        shrink(depth.picture, kPictureWidth));
+    html += html_picture(name + ", depth",
+                         depth.far > 0 ? fmt::format("{} to {} {}", format_number(depth.near),
+                                                     format_number(depth.far), unit_of(result))
+                                       : std::string("no pixel has an answer"),
+                         shrink(depth.picture, kPictureWidth));
     if (!map.confidence.empty()) {
       html += html_picture(name + ", confidence", "",
                            shrink(picture_of_confidence(map.confidence), kPictureWidth));
@@ -171,10 +170,10 @@ std::string mesh_section(const ReportFacts& facts) {
   }
   html += "</div>\n";
   std::string text =
-      fmt::format("{} triangles, {} vertices, area {} square map units", format_count(n.triangles),
-                  format_count(n.vertices), format_number(n.mesh_area));
+      fmt::format("{} triangles, {} vertices, area {} square {}", format_count(n.triangles),
+                  format_count(n.vertices), format_number(n.mesh_area), unit_of(result));
   if (result.voxel_size > 0) {
-    text += fmt::format(", voxels of {} map units", format_number(result.voxel_size));
+    text += fmt::format(", voxels of {} {}", format_number(result.voxel_size), unit_of(result));
   }
   html += fmt::format("<p class=\"note\">{}. Backs of triangles are drawn dark and bluish.</p>\n",
                       html_escape(text));

@@ -84,7 +84,7 @@ std::string trajectory_section(const ReportFacts& facts) {
   }
   const ViewAxes axes = guess_axes(poses_of(result.trajectory));
   std::vector<Vector3d> estimate, truth;
-  std::string unit = "map units";
+  std::string unit = unit_of(result);
   std::string note = axes.up_name == "up"
                          ? "Up is guessed: the direction that the cameras' x axes keep level to."
                          : "Axes of the first camera: x right, y down, z forward.";

@@ -137,6 +137,7 @@ class FolderWriter {
     if (!result.mesh.empty()) {
       MeshWriteOptions options;
       options.max_step = result.voxel_size * kVoxelShare;
+      options.z_up = result.enu_origin.has_value();
       if (!done("mesh.drc", "the surface, Draco",
                 write_mesh(result.mesh, dir_ / "mesh.drc", MeshFormat::drc, options)) ||
           !done("mesh.glb", "the surface, glTF with KHR_draco_mesh_compression, y up",
@@ -222,6 +223,13 @@ Expected<TriangleMesh> load_run_mesh(const fs::path& dir) {
   std::error_code ec;
   if (!fs::exists(dir / "mesh.drc", ec)) return TriangleMesh{};
   return read_mesh(dir / "mesh.drc");
+}
+
+bool run_is_on_earth(const fs::path& dir) {
+  const auto text = read_file_bytes(dir / kMarker);
+  const auto json = nlohmann::json::parse(text.value_or(""), nullptr, false);
+  return json.is_object() && json.contains("world") &&
+         json["world"].value("frame", std::string()) == "enu";
 }
 
 Expected<void> copy_run_colmap(const fs::path& dir, const fs::path& out) {

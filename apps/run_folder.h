@@ -39,6 +39,10 @@ inline constexpr std::size_t kMaxDepthFiles = 40;
 /// Errors: not_found if this is no run's folder; io, corrupt.
 [[nodiscard]] Expected<TriangleMesh> load_run_mesh(const std::filesystem::path& dir);
 
+/// Whether the run's files are east, north, up in metres; otherwise they are in the map's own
+/// frame.
+[[nodiscard]] bool run_is_on_earth(const std::filesystem::path& dir);
+
 /// Copies a finished run's COLMAP model and images to `out` (a new or empty folder).
 /// Errors: not_found if this is no run's folder or it has no COLMAP model; invalid_argument if
 /// `out` holds anything; io.

@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "backend/map_data.h"
+#include "backend/map_positions.h"
 #include "backend/resect.h"
 #include "backend/start.h"
 #include "backend/window.h"
@@ -74,6 +75,7 @@ struct Backend::Impl {
   [[nodiscard]] int segment_keyframes() const {
     return static_cast<int>(map.keyframes.size()) - segment_first;
   }
+  void straighten_segments();
   void publish_motion(const FrameTracks& tracks);
   void publish_map();
   void lap(const char* part) { timings.emplace_back(part, watch.lap_ms()); }
@@ -88,6 +90,7 @@ struct Backend::Impl {
   Camera prior;  ///< intrinsics as the source gave them
   bool have_camera = false;
   Starter starter;
+  MapPositions positions{options};
   int segment = 0, segment_first = 0;
   std::vector<FrameRecord> frames;
   std::size_t segment_first_frame = 0;  ///< in `frames`
@@ -136,6 +139,8 @@ PoseEvent Backend::Impl::add(const FrameTracks& tracks) {
     add_tracking(tracks, &event);
   }
   event.segment = segment;
+  event.placement = positions.placement(segment);
+  if (event.placement) event.scale = event.placement->scale;
   publish_motion(tracks);
   return event;
 }
@@ -469,6 +474,8 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
   const int count = settling || policy.freedom != IntrinsicsFreedom::fixed
                         ? segment_keyframes()
                         : options.window_keyframes;
+  positions.follow(map, segment);
+  lap("backend/positions");
   adjust_window(map, segment_first, count, options, threads, policy);
   learn_focal();
   map.forget_tracks(k - options.window_keyframes);
@@ -508,6 +515,20 @@ void Backend::Impl::publish_motion(const FrameTracks& tracks) {
   published_motion = std::move(motion);
 }
 
+/// So that every segment whose positions are known fits them by one similarity.
+void Backend::Impl::straighten_segments() {
+  for (int s = 0; s <= segment; ++s) {
+    if (positions.place_whole(map, s)) continue;
+    const std::vector<Sim3> moves = positions.straighten(map, s);
+    for (FrameRecord& record : frames) {
+      const Pose& T = record.T_keyframe_frame;
+      const double scale = moves[static_cast<std::size_t>(record.keyframe)].scale();
+      record.T_keyframe_frame = Pose(T.rotation(), scale * T.translation());
+    }
+    positions.place_whole(map, s);
+  }
+}
+
 void Backend::Impl::publish_map() { published_map = map.snapshot(++version); }
 
 Backend::Backend(const BackendOptions& options, IntrinsicsOrigin origin, int threads)
@@ -526,9 +547,24 @@ std::shared_ptr<const MapSnapshot> Backend::map() const { return impl_->publishe
 
 void Backend::finish() {
   Impl& b = *impl_;
-  if (!b.options.final_adjustment || b.map.keyframes.empty()) return;
+  if (b.map.keyframes.empty()) return;
+  b.straighten_segments();
+  if (!b.options.final_adjustment) return b.publish_map();
   adjust_all(b.map, b.options, b.threads, b.final_intrinsics_policy());
+  for (int s = 0; s <= b.segment; ++s) b.positions.place_whole(b.map, s);
   b.publish_map();
+}
+
+void Backend::add_positions(std::span<const PositionFix> fixes) { impl_->positions.add(fixes); }
+
+std::vector<MapPlacement> Backend::placements() const {
+  std::vector<MapPlacement> out;
+  for (int s = 0; s <= impl_->segment; ++s) {
+    const auto placement = impl_->positions.placement(s);
+    out.push_back(placement ? *placement : MapPlacement{});
+    if (!placement) out.back().reason = "no positions";
+  }
+  return out;
 }
 
 Trajectory Backend::trajectory() const {

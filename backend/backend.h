@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -35,6 +36,8 @@ class Backend {
   /// track; the keyframe flag is the frontend's. The image may be empty: only colours come from it.
   /// After a keyframe map() and motion() are new; after any other frame motion() is.
   PoseEvent add(const FrameTracks& tracks);
+  /// Positions of the camera, in any order; they count from the next keyframe on.
+  void add_positions(std::span<const PositionFix> fixes);
   /// For the frontend's prediction of the next frame. Never null.
   [[nodiscard]] std::shared_ptr<const MotionState> motion() const;
   /// The newest published map. Never null; without keyframes while starting.
@@ -44,6 +47,8 @@ class Backend {
   /// Every frame that has a pose, with all corrections that its reference keyframe got since.
   /// Frames between the two starting keyframes are in it, although their events had no pose.
   [[nodiscard]] Trajectory trajectory() const;
+  /// Where each segment lies on Earth, newest knowledge; nothing is metric without positions.
+  [[nodiscard]] std::vector<MapPlacement> placements() const;
   /// Wall time of the parts of the last add() that ran: "backend/start", "backend/resect",
   /// "backend/triangulate", "backend/adjust" [ms].
   [[nodiscard]] std::vector<std::pair<std::string, double>> last_timings_ms() const;

@@ -10,6 +10,7 @@
 #include <deque>
 #include <memory>
 
+#include "backend/costs/position.h"
 #include "backend/costs/reprojection.h"
 #include "core/check.h"
 
@@ -58,6 +59,25 @@ std::vector<int> held_intrinsics(IntrinsicsFreedom freedom, CameraModel model) {
   return held;
 }
 
+/// What the observations' errors are in units of their sigma, from the median of those of up to a
+/// thousand (the median of a squared Rayleigh variable is 2 ln 2): at least a half.
+double error_factor(const BundleProblem& problem) {
+  constexpr std::size_t kMost = 1000;
+  std::vector<double> squares;
+  const std::size_t step = problem.observations.size() / kMost + 1;
+  for (std::size_t i = 0; i < problem.observations.size(); i += step) {
+    const BundleObservation& o = problem.observations[i];
+    const Pose& T = problem.T_world_camera[static_cast<std::size_t>(o.pose)];
+    const auto pixel =
+        problem.camera.project(T.inverse() * problem.points[static_cast<std::size_t>(o.point)]);
+    if (pixel) squares.push_back((*pixel - o.pixel).squaredNorm() / (o.sigma_px * o.sigma_px));
+  }
+  if (squares.empty()) return 1;
+  const auto middle = squares.begin() + static_cast<std::ptrdiff_t>(squares.size() / 2);
+  std::nth_element(squares.begin(), middle, squares.end());
+  return std::max(0.5, std::sqrt(*middle / (2 * std::log(2.0))));
+}
+
 }  // namespace
 
 BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
@@ -81,6 +101,7 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   std::deque<ReprojectionCost> costs;
   std::deque<IntrinsicsReprojectionCost> intrinsics_costs;
   std::deque<DistanceCost> distances;
+  std::deque<PositionCost> positions;
   const IntrinsicsPriorCost prior(intrinsics_block(reference, reference),
                                   prior_weights(settings.freedom, sigma));
   ceres::SubsetManifold intrinsics_manifold(8, held_intrinsics(settings.freedom, reference.model));
@@ -142,6 +163,15 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
     // The gauge is free, so any weight gives the same shape; this one keeps the system well scaled.
     distances.emplace_back(d, 1e3 / d);
     ceres_problem.AddResidualBlock(&distances.back(), nullptr, poses[ia].data(), poses[ib].data());
+  }
+
+  const double unit = problem.positions.empty() ? 1 : sigma * error_factor(problem);
+  ceres::HuberLoss position_loss(4 * unit);
+  for (const BundlePosition& p : problem.positions) {
+    double* const pose = poses[static_cast<std::size_t>(p.pose)].data();
+    if (!ceres_problem.HasParameterBlock(pose)) continue;
+    positions.emplace_back(p.p_world, unit * p.sqrt_information);
+    ceres_problem.AddResidualBlock(&positions.back(), &position_loss, pose);
   }
 
   ceres::Solver::Options solver;

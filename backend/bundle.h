@@ -17,6 +17,13 @@ struct BundleObservation {
   double sigma_px = 1;
 };
 
+/// A measured camera centre.
+struct BundlePosition {
+  int pose = 0;
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d sqrt_information = Eigen::Matrix3d::Zero();  ///< whitens t - p_world
+};
+
 /// Poses, points and what sees what; adjust() changes poses, points and camera in place.
 struct BundleProblem {
   Camera camera;
@@ -24,6 +31,7 @@ struct BundleProblem {
   std::vector<std::uint8_t> fixed;  ///< one per pose
   std::vector<Eigen::Vector3d> points;
   std::vector<BundleObservation> observations;
+  std::vector<BundlePosition> positions;  ///< measured camera centres
   /// Pairs of poses whose distance is held: one for every part of the map whose scale is free.
   std::vector<std::pair<int, int>> hold_distance;
 };
@@ -48,8 +56,9 @@ struct BundleResult {
 /// Bundle adjustment (algorithms.md, 6): minimises the sum of Huber(|e| * s / sigma), e the
 /// reprojection error [px] in the distorted image and s the median sigma, over the free poses and
 /// all points, by Levenberg-Marquardt on the Schur complement (Ceres). The Huber width is thus in
-/// pixels of a typical observation. Nothing is changed if it fails.
-/// Deterministic if threads == 1.
+/// pixels of a typical observation. Positions count with their whitened distance, in units of the
+/// variance factor of the observations as they begin, and a Huber width of four standard
+/// deviations. Nothing is changed if it fails. Deterministic if threads == 1.
 BundleResult adjust(BundleProblem& problem, const BundleSettings& settings);
 
 }  // namespace corvid

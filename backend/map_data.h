@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "backend/drift.h"
@@ -33,6 +34,12 @@ struct MapTrack {
   bool dead = false;  ///< the frontend follows the wrong thing: later observations do not count
 };
 
+/// A measured camera centre: sqrt_information * (t - p_world) has unit covariance.
+struct PositionPrior {
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d sqrt_information = Eigen::Matrix3d::Zero();
+};
+
 struct MapKeyframe {
   FramePtr frame;
   int segment = 0;
@@ -40,6 +47,7 @@ struct MapKeyframe {
   Drift drift;  ///< since the segment's start; not known of keyframes before the first window
   FocalEstimate focal;                        ///< what the window says that ended here
   std::vector<TrackId> tracks;                ///< ascending; those with a view here or once had
+  std::optional<PositionPrior> position;      ///< set by MapPositions
   std::shared_ptr<const Keyframe> published;  ///< null if it changed since
 };
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <set>
 #include <utility>
 #include <vector>
 
@@ -50,6 +51,12 @@ Part collect(MapData& map, const std::vector<std::uint8_t>& moving, int first) {
       }
       part.problem.observations.push_back({pose_of[k], point, v.pixel, v.sigma_px});
     }
+  }
+  for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
+    const auto& position = map.keyframes[static_cast<std::size_t>(part.keyframes[i])].position;
+    if (!position || part.problem.fixed[i] != 0) continue;
+    part.problem.positions.push_back(
+        {static_cast<int>(i), position->p_world, position->sqrt_information});
   }
   return part;
 }
@@ -242,13 +249,18 @@ bool adjust_all(MapData& map, const BackendOptions& options, int threads,
   for (int round = 0; round < kRounds; ++round) {
     Part part = collect(map, std::vector<std::uint8_t>(map.keyframes.size(), 1), 0);
     if (part.keyframes.size() < 2) return false;
-    // Gauge of every segment: its first keyframe, and a distance from it.
+    // Gauge of every segment: its positions, or else its first keyframe and a distance from it.
+    std::set<int> placed;
+    for (const MapKeyframe& k : map.keyframes) {
+      if (k.position) placed.insert(k.segment);
+    }
     std::map<int, std::vector<int>> segments;
     for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
       const auto k = static_cast<std::size_t>(part.keyframes[i]);
       segments[map.keyframes[k].segment].push_back(static_cast<int>(i));
     }
     for (const auto& [segment, poses] : segments) {
+      if (placed.count(segment) != 0) continue;
       const int first = *std::min_element(poses.begin(), poses.end(), [&](int a, int b) {
         return part.keyframes[static_cast<std::size_t>(a)] <
                part.keyframes[static_cast<std::size_t>(b)];

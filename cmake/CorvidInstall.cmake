@@ -11,7 +11,7 @@ install(DIRECTORY include/corvid DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 # The openers of sources, trajectories, options and meshes are for the library's users, too. They keep
 # the names that they have in the tree, below a folder of their own.
 set(CORVID_ROOM_HEADERS "${CMAKE_INSTALL_INCLUDEDIR}/corvid/rooms")
-install(FILES io/source.h io/calibration.h io/trajectory_file.h io/options_file.h io/mesh_files.h
+install(FILES io/source.h io/calibration.h io/trajectory_file.h io/positions_file.h io/options_file.h io/mesh_files.h
         DESTINATION ${CORVID_ROOM_HEADERS}/io)
 install(FILES replay/synthetic_flight.h replay/player.h replay/recorder.h
         DESTINATION ${CORVID_ROOM_HEADERS}/replay)

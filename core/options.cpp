@@ -118,6 +118,8 @@ std::vector<std::string> BackendOptions::validate() const {
   p.positive("huber_px", huber_px);
   p.in("window_keyframes", window_keyframes, 2, 1000);
   p.at_least("max_iterations", max_iterations, 1);
+  p.in("max_scale_sigma", max_scale_sigma, 1e-6, 1.0);
+  p.in("max_position_gap_s", max_position_gap_s, 0.0, 60.0);
   p.at_least("min_inliers", min_inliers, 4);  // fewer do not fix a pose
   if (intrinsics != "auto" && intrinsics != "fixed" && intrinsics != "distortion" &&
       intrinsics != "all") {

@@ -76,6 +76,7 @@ struct Engine::Impl {
     FrameSource& source;
     InOrder intake;  // of the source
     EngineSinks sinks;
+    PositionSource* positions;  // null if there are none
     Gate& gate;
     std::unique_ptr<Frontend> frontend;
     std::unique_ptr<Backend> backend;
@@ -131,6 +132,7 @@ FrameTracks Engine::Impl::Run::track(const FramePtr& frame) {
 
 void Engine::Impl::Run::estimate(const TimedTracks& timed) {
   Stopwatch watch;
+  if (positions) backend->add_positions(positions->take());
   PoseEvent event = backend->add(timed.tracks);
   metrics.add("backend", watch.lap_ms());
   metrics.add(backend->last_timings_ms());
@@ -244,12 +246,14 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
 
 void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
   Stopwatch watch;
+  if (positions) backend->add_positions(positions->take());
   if (!interrupted) {
     backend->finish();
     metrics.add("backend/finish", watch.lap_ms());
   }
   result.map = backend->map();
   result.trajectory = backend->trajectory();
+  result.placements = backend->placements();
   if (mapper) {
     if (!interrupted) {
       log().info("mapping: finishing what is left of {} keyframes", result.map->keyframes.size());
@@ -288,7 +292,7 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
 }
 
 Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
-                                const std::stop_token& stop) {
+                                const std::stop_token& stop, PositionSource* positions) {
   const SourceInfo& info = source.info();
   cv::setNumThreads(impl_->threads);
   auto frontend = Frontend::create(impl_->device, impl_->options.frontend, info.stills,
@@ -313,6 +317,7 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
                 source,
                 InOrder(source),
                 sinks,
+                positions,
                 gate,
                 std::move(*frontend),
                 std::move(backend),

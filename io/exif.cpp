@@ -82,6 +82,41 @@ std::optional<double> number_of(ExifData* data, ExifIfd ifd, ExifTag tag) {
   return value > 0 ? std::optional(value) : std::nullopt;
 }
 
+constexpr int kGpsHorizontalError = 0x001F;  // EXIF 2.31; libexif 0.6.24 has no name for it
+
+// Degrees, minutes and seconds with the letter of their half of the Earth.
+std::optional<double> angle_of(ExifData* data, int tag, int reference_tag, char negative) {
+  const ExifEntry* e = entry(data, EXIF_IFD_GPS, static_cast<ExifTag>(tag));
+  const std::string half = text_of(data, EXIF_IFD_GPS, static_cast<ExifTag>(reference_tag));
+  if (!e || !e->data || e->format != EXIF_FORMAT_RATIONAL || e->components != 3 || e->size < 24 ||
+      half.empty()) {
+    return {};
+  }
+  double degrees = 0, unit = 1;
+  for (unsigned i = 0; i < 3; ++i, unit /= 60) {
+    const ExifRational r = exif_get_rational(e->data + 8 * i, exif_data_get_byte_order(data));
+    if (r.denominator == 0 && r.numerator == 0) continue;  // seconds are often left out like this
+    if (r.denominator == 0) return {};
+    degrees += unit * static_cast<double>(r.numerator) / r.denominator;
+  }
+  return half.front() == negative ? -degrees : degrees;
+}
+
+// Latitude, longitude and altitude; nothing where the receiver had none: status V, or all zero.
+std::optional<GeodeticPosition> gps_of(ExifData* data) {
+  const auto latitude = angle_of(data, EXIF_TAG_GPS_LATITUDE, EXIF_TAG_GPS_LATITUDE_REF, 'S');
+  const auto longitude = angle_of(data, EXIF_TAG_GPS_LONGITUDE, EXIF_TAG_GPS_LONGITUDE_REF, 'W');
+  const auto altitude = number_of(data, EXIF_IFD_GPS, static_cast<ExifTag>(EXIF_TAG_GPS_ALTITUDE));
+  if (!latitude || !longitude || !altitude || (*latitude == 0 && *longitude == 0)) return {};
+  if (text_of(data, EXIF_IFD_GPS, static_cast<ExifTag>(EXIF_TAG_GPS_STATUS)) == "V") return {};
+  const ExifEntry* below =
+      entry(data, EXIF_IFD_GPS, static_cast<ExifTag>(EXIF_TAG_GPS_ALTITUDE_REF));
+  const bool negative = below && below->data && below->size >= 1 && below->data[0] == 1;
+  PositionFix fix;
+  fix.position = {*latitude, *longitude, negative ? -*altitude : *altitude};
+  return fix.problem().empty() ? std::optional(fix.position) : std::nullopt;
+}
+
 // "2014:10:19 13:20:51" and the digits of its fraction.
 std::optional<std::int64_t> parse_time(const std::string& date, const std::string& fraction) {
   const std::vector<std::string_view> parts = fields(date, ": ");
@@ -136,7 +171,8 @@ std::optional<Exif> read_exif(const std::string& path) {
   }
   exif.time_ns = parse_time(text_of(d, EXIF_IFD_EXIF, EXIF_TAG_DATE_TIME_ORIGINAL),
                             text_of(d, EXIF_IFD_EXIF, EXIF_TAG_SUB_SEC_TIME_ORIGINAL));
-  exif.has_gps = entry(d, EXIF_IFD_GPS, static_cast<ExifTag>(EXIF_TAG_GPS_LATITUDE)) != nullptr;
+  exif.gps = gps_of(d);
+  exif.gps_sigma_m = number_of(d, EXIF_IFD_GPS, static_cast<ExifTag>(kGpsHorizontalError));
   return exif;
 }
 

@@ -4,6 +4,8 @@
 #include <optional>
 #include <string>
 
+#include "corvid/position.h"
+
 namespace corvid {
 
 /// What a photograph says of itself.
@@ -15,7 +17,8 @@ struct Exif {
   int original_width_px = 0;              ///< PixelXDimension, 0 if absent
   std::optional<std::int64_t> time_ns;    ///< DateTimeOriginal with its fraction, taken as UTC
   int orientation = 1;                    ///< 1 to 8; anything but 1 asks viewers to turn it
-  bool has_gps = false;
+  std::optional<GeodeticPosition> gps;    ///< with its altitude; nothing if any part is missing
+  std::optional<double> gps_sigma_m;      ///< GPSHPositioningError: horizontal
   /// True if a camera says that it took this picture (make, model or focal length).
   [[nodiscard]] bool from_camera() const {
     return !make.empty() || !model.empty() || focal_mm || focal_35mm;

@@ -71,7 +71,7 @@ Json accessors_of(const TriangleMesh& mesh) {
   return out;
 }
 
-Json frame_of_file(const TriangleMesh& mesh) {
+Json frame_of_file(const TriangleMesh& mesh, bool z_up) {
   Json json;
   json["asset"] = {{"version", "2.0"}, {"generator", "corvid"}};
   json["scene"] = 0;
@@ -80,8 +80,10 @@ Json frame_of_file(const TriangleMesh& mesh) {
     return json;
   }
   json["scenes"] = Json::array({{{"nodes", {0}}}});
-  // Half a turn about x: our y down, z forward becomes y up, z backward.
-  json["nodes"] = Json::array({{{"name", "world"}, {"mesh", 0}, {"rotation", {1, 0, 0, 0}}}});
+  // About x: half a turn makes y up, z backward of our y down, z forward; a quarter back of z up.
+  const double quarter = std::sqrt(0.5);
+  const Json rotation = z_up ? Json({-quarter, 0, 0, quarter}) : Json({1, 0, 0, 0});
+  json["nodes"] = Json::array({{{"name", "world"}, {"mesh", 0}, {"rotation", rotation}}});
   Json attributes = {{"POSITION", 1}};
   int next = 2;
   if (!mesh.normals.empty()) attributes["NORMAL"] = next++;
@@ -101,8 +103,8 @@ Json frame_of_file(const TriangleMesh& mesh) {
   return json;
 }
 
-std::string encode_plain(const TriangleMesh& mesh) {
-  Json json = frame_of_file(mesh);
+std::string encode_plain(const TriangleMesh& mesh, bool z_up) {
+  Json json = frame_of_file(mesh, z_up);
   if (json["extensionsUsed"].empty()) json.erase("extensionsUsed");
   std::string binary;
   Json views = Json::array();
@@ -137,13 +139,14 @@ std::string encode_plain(const TriangleMesh& mesh) {
   return container(json, std::move(binary));
 }
 
-Expected<std::string> encode_compressed(const TriangleMesh& mesh, const DracoOptions& options) {
+Expected<std::string> encode_compressed(const TriangleMesh& mesh, const DracoOptions& options,
+                                        bool z_up) {
   auto bytes = encode_draco(mesh, options, DracoColours::linear16);
   if (!bytes) return bytes;
   // The accessors must tell what a decoder will find, and Draco splits and drops vertices.
   const auto decoded = decode_draco(*bytes, DracoColours::linear16);
   if (!decoded) return tl::unexpected(decoded.error());
-  Json json = frame_of_file(*decoded);
+  Json json = frame_of_file(*decoded, z_up);
   if (!decoded->empty()) {
     Json ids = {{"POSITION", kDracoPositionId}};
     if (!decoded->normals.empty()) ids["NORMAL"] = kDracoNormalId;
@@ -240,16 +243,16 @@ TriangleMesh read_plain(const Json& json, std::string_view binary, const Json& p
 }  // namespace
 
 Expected<std::string> encode_glb(const TriangleMesh& mesh, GlbCompression compression,
-                                 const DracoOptions& options) {
+                                 const DracoOptions& options, bool z_up) {
   const TriangleMesh clean = clean_mesh(mesh, options.grid);
-  if (clean.empty()) return container(frame_of_file(clean), {});
+  if (clean.empty()) return container(frame_of_file(clean, z_up), {});
   // Sizes in the container are 32 bit: 36 bytes per vertex and 12 per triangle at most.
   if (clean.vertices.size() * 36 + clean.triangles.size() * 12 > 0xF0000000u) {
     return fail(ErrorCode::unsupported, "the mesh is too large for one glTF file", "mesh encoder",
                 "export it as ply");
   }
-  return compression == GlbCompression::draco ? encode_compressed(clean, options)
-                                              : Expected<std::string>(encode_plain(clean));
+  return compression == GlbCompression::draco ? encode_compressed(clean, options, z_up)
+                                              : Expected<std::string>(encode_plain(clean, z_up));
 }
 
 Expected<TriangleMesh> decode_glb(std::string_view bytes) {

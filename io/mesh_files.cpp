@@ -46,9 +46,9 @@ Expected<std::string> encode_mesh(const TriangleMesh& mesh, MeshFormat format,
     case MeshFormat::drc:
       return encode_draco(mesh, draco);
     case MeshFormat::glb:
-      return encode_glb(mesh, GlbCompression::draco, draco);
+      return encode_glb(mesh, GlbCompression::draco, draco, options.z_up);
     case MeshFormat::glb_plain:
-      return encode_glb(mesh, GlbCompression::none, draco);
+      return encode_glb(mesh, GlbCompression::none, draco, options.z_up);
   }
   return fail(ErrorCode::invalid_argument, "unknown mesh format");
 }

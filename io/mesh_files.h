@@ -20,6 +20,8 @@ struct MeshWriteOptions {
   /// Largest rounding of a position in drc and compressed glb, in map units; 0: 14 bits over the
   /// mesh's longest side. An eighth of the voxel size is far below what the surface resolves.
   double max_step = 0;
+  /// The mesh has z up (east, north, up) instead of the camera's axes: for glb, which has y up.
+  bool z_up = false;
 };
 
 /// The file's bytes. An empty mesh gives a valid file without triangles (ply, obj, glb) or, where

@@ -38,6 +38,7 @@ class ImageSource final : public FrameSource {
   [[nodiscard]] Expected<FramePtr> next(const std::stop_token& stop) override;
   [[nodiscard]] SourceCounts counts() const override { return counts_; }
   [[nodiscard]] Trajectory truth() const override;
+  [[nodiscard]] std::vector<PositionFix> positions() const override;
 
  private:
   void take_times(ImageList& list, const SourceOptions& options);
@@ -250,6 +251,24 @@ Trajectory ImageSource::truth() const {
     if (!bad_time_[i] && entries_[i].T_world_camera) {
       result.push_back({entries_[i].time_ns, *entries_[i].T_world_camera});
     }
+  }
+  return result;
+}
+
+std::vector<PositionFix> ImageSource::positions() const {
+  std::vector<PositionFix> result;
+  for (std::size_t i = 0; i < entries_.size(); ++i) {
+    if (bad_time_[i]) continue;
+    const std::optional<Exif> exif = read_exif(entries_[i].path);
+    if (!exif || !exif->gps) continue;
+    PositionFix fix;
+    fix.time_ns = entries_[i].time_ns;
+    fix.position = *exif->gps;
+    if (exif->gps_sigma_m) {
+      const double sigma_m = std::clamp(*exif->gps_sigma_m, 0.01, 1e4);
+      fix.covariance_m2 = Eigen::Vector3d(sigma_m, sigma_m, 2 * sigma_m).cwiseAbs2().asDiagonal();
+    }
+    result.push_back(fix);
   }
   return result;
 }

@@ -27,6 +27,7 @@ class Player final : public FrameSource {
   [[nodiscard]] Expected<FramePtr> next(const std::stop_token& stop = {}) override;
   [[nodiscard]] SourceCounts counts() const override { return source_->counts(); }
   [[nodiscard]] Trajectory truth() const override { return source_->truth(); }
+  [[nodiscard]] std::vector<PositionFix> positions() const override { return source_->positions(); }
   [[nodiscard]] std::optional<TriangleMesh> true_surface() const override {
     return source_->true_surface();
   }

@@ -30,9 +30,12 @@ class Engine {
   ~Engine();
 
   /// Runs the source to its end, or until asked to stop: then what there is comes back, marked as
-  /// interrupted. An error means that the source or the device failed before any frame had a pose.
+  /// interrupted. `positions`, if there are any, give the map its scale and its place on Earth;
+  /// without them its scale is arbitrary. An error means that the source or the device failed
+  /// before any frame had a pose.
   [[nodiscard]] Expected<RunResult> run(FrameSource& source, const EngineSinks& sinks = {},
-                                        const std::stop_token& stop = {});
+                                        const std::stop_token& stop = {},
+                                        PositionSource* positions = nullptr);
 
  private:
   struct Impl;

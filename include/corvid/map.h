@@ -11,6 +11,7 @@
 #include "corvid/frame.h"
 #include "corvid/ids.h"
 #include "corvid/pose.h"
+#include "corvid/position.h"
 
 namespace corvid {
 
@@ -31,7 +32,11 @@ struct PoseEvent {
   int inliers = 0;     ///< landmarks that agree with the pose
   double mse_px2 = 0;  ///< mean squared reprojection error of the inliers, thesis (3.15)
   bool keyframe = false;
-  int segment = 0;        ///< map segment; rises when a lost camera starts a new map
+  int segment = 0;  ///< map segment; rises when a lost camera starts a new map
+  /// Metric once positions have fixed the similarity to the Earth; see `placement`.
+  MapScale scale = MapScale::arbitrary;
+  /// Where the segment lies on Earth, or why that is not known; null if no position ever came.
+  std::shared_ptr<const MapPlacement> placement;
   double latency_ms = 0;  ///< from the frame's entry into the engine to this event
 };
 

@@ -69,11 +69,13 @@ struct BackendOptions {
   int window_keyframes = 10;             ///< keyframes that the adjustment moves
   int max_iterations = 10;               ///< of one window adjustment
   int min_inliers = 20;                  ///< fewer agreeing landmarks: lost
-  bool final_adjustment = true;          ///< adjust everything once more at the end of the run
+  double max_scale_sigma = 0.02;  ///< positions make a map metric below this deviation [share]
+  double max_position_gap_s = 2;  ///< positions are interpolated over gaps up to this long [s]
+  bool final_adjustment = true;   ///< adjust everything once more at the end of the run
   /// Intrinsics that are estimated, too: auto, fixed, distortion (k1, k2) or all (focal length, k1,
   /// k2). auto: all without a calibration, distortion where the calibration has none, else fixed.
   std::string intrinsics = "auto";
-  std::uint64_t seed = 1;                ///< of RANSAC
+  std::uint64_t seed = 1;  ///< of RANSAC
   [[nodiscard]] std::vector<std::string> validate() const;
 };
 

@@ -12,6 +12,7 @@
 #include "corvid/map.h"
 #include "corvid/mesh_stream.h"
 #include "corvid/pose.h"
+#include "corvid/position.h"
 
 namespace corvid {
 
@@ -58,6 +59,8 @@ class FrameSource {
   /// True camera poses, if the source has them; empty otherwise. Times match the frames' or
   /// enclose them (a source may give truth at its own rate).
   [[nodiscard]] virtual Trajectory truth() const { return {}; }
+  /// Positions that came with the frames (EXIF), at the frames' times; empty if there are none.
+  [[nodiscard]] virtual std::vector<PositionFix> positions() const { return {}; }
   /// The true surface, if the source knows it (the synthetic flight).
   [[nodiscard]] virtual std::optional<TriangleMesh> true_surface() const { return std::nullopt; }
 };

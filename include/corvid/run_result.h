@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -30,6 +31,10 @@ struct RunResult {
   Trajectory trajectory;          ///< every frame that has a pose, with all later corrections
   std::shared_ptr<const MapSnapshot> map;
   std::vector<DepthMap> depth_maps;
+  std::vector<MapPlacement> placements;  ///< one per map segment
+  /// Set by place_on_earth(): trajectory, map, depth maps and mesh are in metres, east, north, up
+  /// of this place. Otherwise they are in map units, in the frame of the first keyframe.
+  std::optional<GeodeticPosition> enu_origin;
   TriangleMesh mesh;
   double voxel_size = 0;  ///< [map units]
   std::vector<StageMetrics> stages;
@@ -38,5 +43,11 @@ struct RunResult {
   bool interrupted = false;        ///< stopped before the source ended: a partial result
   std::vector<std::string> notes;  ///< anything the user should know, one sentence each
 };
+
+/// Brings trajectory, map, depth maps and mesh from the map's frame into the local frame east,
+/// north, up [m], each segment by its placement. Events stay as they were published. A segment
+/// whose scale is arbitrary, and the mesh, go with the metric segment of most keyframes.
+/// @return false, and nothing is changed, if no segment is metric or it was done before.
+bool place_on_earth(RunResult& result);
 
 }  // namespace corvid

@@ -88,7 +88,7 @@ std::optional<Times> times_from_exif(ImageList& list) {
     return lower.ends_with(".jpg") || lower.ends_with(".jpeg");
   });
   if (first == list.entries.end()) return {};
-  if (const auto exif = read_exif(first->path); !exif || (!exif->time_ns && !exif->has_gps)) {
+  if (const auto exif = read_exif(first->path); !exif || (!exif->time_ns && !exif->gps)) {
     return {};
   }
   Times times;
@@ -96,11 +96,10 @@ std::optional<Times> times_from_exif(ImageList& list) {
   for (const ImageEntry& entry : list.entries) {
     const std::optional<Exif> exif = read_exif(entry.path);
     if (exif && exif->time_ns) times.push_back(*exif->time_ns);
-    if (exif && exif->has_gps) ++with_gps;
+    if (exif && exif->gps) ++with_gps;
   }
   if (with_gps > 0) {
-    list.notes.push_back(
-        fmt::format("the GPS positions in the EXIF of {} images are not used", with_gps));
+    list.notes.push_back(fmt::format("GPS positions in the EXIF of {} images", with_gps));
   }
   if (times.size() != list.entries.size()) return {};
   spread_equal(times);

@@ -319,7 +319,7 @@ TEST(SourceFormats, PhotographsByTheirExif) {
   ExifFields f;
   f.make = "Maker";
   f.orientation = 6;
-  f.gps = true;
+  f.gps = GeodeticPosition{-33.856784, 151.215297, -4.25};
   f.focal_35mm = 28;
   const char* times[] = {"2020:02:29 12:00:00", "2020:02:29 12:00:01", "2020:02:29 12:00:01",
                          "2020:02:29 12:00:02"};
@@ -331,13 +331,22 @@ TEST(SourceFormats, PhotographsByTheirExif) {
   ASSERT_TRUE(source);
   EXPECT_TRUE(source->info().stills);
   EXPECT_EQ(source->info().intrinsics, IntrinsicsOrigin::exif);
-  EXPECT_TRUE(has_note(source->info().notes, "GPS"));
+  EXPECT_TRUE(has_note(source->info().notes, "GPS positions in the EXIF of 4 images"));
+  const std::vector<PositionFix> fixes = source->positions();
+  ASSERT_EQ(fixes.size(), 4u);
+  for (const PositionFix& fix : fixes) {
+    EXPECT_NEAR(fix.position.latitude_deg, -33.856784, 1e-8);
+    EXPECT_NEAR(fix.position.longitude_deg, 151.215297, 1e-8);
+    EXPECT_NEAR(fix.position.altitude_m, -4.25, 1e-9);
+    EXPECT_TRUE(fix.problem().empty());
+  }
   EXPECT_TRUE(has_note(source->info().notes, "orientation 6"));
   auto frames = all_frames(*source);
   ASSERT_EQ(frames.size(), 4u);
   EXPECT_EQ(frames[0]->grey.width(), 64) << "pixels are not turned";
   EXPECT_EQ(frames[0]->time_ns, 1582977600'000'000'000);
   EXPECT_EQ(frames[2]->time_ns - frames[1]->time_ns, 500'000'000) << "one second is shared";
+  for (std::size_t i = 0; i < 4; ++i) EXPECT_EQ(fixes[i].time_ns, frames[i]->time_ns);
 
   f.time = "2019:01:01 00:00:00";  // the last one goes back: names decide, 1 s apart
   f.fraction = "25";

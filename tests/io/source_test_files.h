@@ -4,6 +4,7 @@
 #include <libexif/exif-data.h>
 #include <stdlib.h>
 
+#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <memory>
@@ -12,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "corvid/position.h"
 #include "io/source.h"
 
 namespace corvid::test {
@@ -76,7 +78,7 @@ struct ExifFields {
   std::optional<double> focal_mm, focal_35mm, plane_px_per_inch;
   int original_width_px = 0;
   int orientation = 0;
-  bool gps = false;
+  std::optional<GeodeticPosition> gps;
 };
 
 inline void write_jpeg_with_exif(const std::string& path, int width_px, int height_px,
@@ -127,8 +129,26 @@ inline void write_jpeg_with_exif(const std::string& path, int width_px, int heig
   if (fields.original_width_px) {
     add_short(EXIF_IFD_EXIF, EXIF_TAG_PIXEL_X_DIMENSION, fields.original_width_px);
   }
+  const auto add_angle = [&](int tag, double degrees) {
+    const double whole = std::floor(std::abs(degrees));
+    const double minutes = 60 * (std::abs(degrees) - whole);
+    const double parts[] = {whole, std::floor(minutes), 60 * (minutes - std::floor(minutes))};
+    std::string bytes(24, '\0');
+    for (int i = 0; i < 3; ++i) {
+      exif_set_rational(
+          reinterpret_cast<unsigned char*>(bytes.data()) + 8 * i, EXIF_BYTE_ORDER_INTEL,
+          ExifRational{static_cast<ExifLong>(std::lround(parts[i] * 1e6)), 1'000'000});
+    }
+    add(EXIF_IFD_GPS, tag, EXIF_FORMAT_RATIONAL, bytes, 3);
+  };
   if (fields.gps) {
-    add(EXIF_IFD_GPS, EXIF_TAG_GPS_LATITUDE, EXIF_FORMAT_RATIONAL, std::string(24, '\1'), 3);
+    add_text(EXIF_IFD_GPS, EXIF_TAG_GPS_LATITUDE_REF, fields.gps->latitude_deg < 0 ? "S" : "N");
+    add_angle(EXIF_TAG_GPS_LATITUDE, fields.gps->latitude_deg);
+    add_text(EXIF_IFD_GPS, EXIF_TAG_GPS_LONGITUDE_REF, fields.gps->longitude_deg < 0 ? "W" : "E");
+    add_angle(EXIF_TAG_GPS_LONGITUDE, fields.gps->longitude_deg);
+    add(EXIF_IFD_GPS, EXIF_TAG_GPS_ALTITUDE_REF, EXIF_FORMAT_BYTE,
+        std::string(1, fields.gps->altitude_m < 0 ? '\1' : '\0'), 1);
+    add_ratio(EXIF_IFD_GPS, EXIF_TAG_GPS_ALTITUDE, std::abs(fields.gps->altitude_m));
   }
   unsigned char* block = nullptr;
   unsigned size = 0;
