@@ -132,6 +132,12 @@ std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, c
                            states, n.untracked_after_start));
   row("map", fmt::format("{} keyframes, {} landmarks, {} segment{}", n.keyframes, n.landmarks,
                          n.segments, n.segments == 1 ? "" : "s"));
+  if (const PlaceCounts& p = result.places;
+      p.relocalizations + p.loops + p.merges + p.connections + p.refused > 0) {
+    row("places", fmt::format("{} relocalized, {} loops closed, {} segments joined, {} more "
+                              "recognised, {} refused",
+                              p.relocalizations, p.loops, p.merges, p.connections, p.refused));
+  }
   if (result.options.mapping.enabled) {
     row("mesh", fmt::format("{} triangles from {} depth maps", n.triangles, n.depth_maps));
   }

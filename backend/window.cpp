@@ -176,8 +176,12 @@ bool adjust_window(MapData& map, int first, int count, const BackendOptions& opt
   const int size = static_cast<int>(map.keyframes.size());
   CORVID_CHECK(first >= 0 && first < size, "no such keyframe");
   std::vector<std::uint8_t> moving(map.keyframes.size(), 0);
-  for (int k = std::max(first, size - count); k < size; ++k)
+  const int segment = map.keyframes.back().segment;
+  for (int k = size - 1; k >= first && count > 0; --k) {
+    if (map.keyframes[static_cast<std::size_t>(k)].segment != segment) continue;
     moving[static_cast<std::size_t>(k)] = 1;
+    --count;
+  }
   Part part = collect(map, moving, first);
   int fixed = 0;
   for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
@@ -204,15 +208,19 @@ bool adjust_all(MapData& map, const BackendOptions& options, int threads,
   for (int round = 0; round < kRounds; ++round) {
     Part part = collect(map, std::vector<std::uint8_t>(map.keyframes.size(), 1), 0);
     if (part.keyframes.size() < 2) return false;
-    // Gauge of every segment: its first keyframe, and the distance to its second.
+    // Gauge of every segment: its first keyframe, and the distance to its second. Segments that
+    // were joined may have others between them.
     std::vector<std::pair<int, int>> order;
     for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
       order.emplace_back(part.keyframes[i], static_cast<int>(i));
     }
-    std::sort(order.begin(), order.end());
-    const auto segment = [&](std::size_t i) {
-      return map.keyframes[static_cast<std::size_t>(order[i].first)].segment;
+    const auto segment_of = [&](int k) {
+      return map.keyframes[static_cast<std::size_t>(k)].segment;
     };
+    std::sort(order.begin(), order.end(), [&](const auto& a, const auto& b) {
+      return std::pair(segment_of(a.first), a.first) < std::pair(segment_of(b.first), b.first);
+    });
+    const auto segment = [&](std::size_t i) { return segment_of(order[i].first); };
     for (std::size_t i = 0; i < order.size(); ++i) {
       if (i > 0 && segment(i) == segment(i - 1)) continue;
       part.problem.fixed[static_cast<std::size_t>(order[i].second)] = 1;

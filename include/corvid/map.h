@@ -30,8 +30,18 @@ struct PoseEvent {
   int inliers = 0;     ///< landmarks that agree with the pose
   double mse_px2 = 0;  ///< mean squared reprojection error of the inliers, thesis (3.15)
   bool keyframe = false;
-  int segment = 0;        ///< map segment; rises when a lost camera starts a new map
+  int segment = 0;  ///< map segment; rises when a lost camera starts a new map
+  /// Rises when poses jump against those given before: a new segment, a relocalization, a closed
+  /// loop, a merge of segments. Positions of different counts must not be compared.
+  std::uint64_t resets = 0;
   double latency_ms = 0;  ///< from the frame's entry into the engine to this event
+};
+
+/// What recognised places did to a map.
+struct PlaceCounts {
+  int relocalizations = 0, loops = 0, merges = 0;  ///< a merge makes one segment of two
+  int connections = 0;                             ///< places recognised where the map fitted
+  int refused = 0;                                 ///< looked alike, but were not believed
 };
 
 struct Landmark {

@@ -29,6 +29,7 @@ struct RunResult {
   std::vector<PoseEvent> events;  ///< one per frame, as they were published
   Trajectory trajectory;          ///< every frame that has a pose, with all later corrections
   std::shared_ptr<const MapSnapshot> map;
+  PlaceCounts places;
   std::vector<DepthMap> depth_maps;
   TriangleMesh mesh;
   double voxel_size = 0;  ///< [map units]
