@@ -485,7 +485,7 @@ bool Backend::Impl::relocalize(const FrameTracks& tracks, const PlacePose& place
   for (const PlaceInlier& i : place.inliers)
     if (const auto it = map.tracks.find(resolve(fused, i.landmark)); it != map.tracks.end())
       depths.push_back((T_camera_world * it->second.p_world).norm());
-  median_depth = median(std::move(depths));
+  median_depth = upper_median(std::move(depths));
   return true;
 }
 

@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "backend/resect.h"
+#include "core/median.h"
 
 namespace corvid {
 namespace {
@@ -156,9 +157,7 @@ double scale_ratio(const MapData& map, const PlacePose& place, const Pose& T_own
     if (near > 0 && far > 0) ratios.push_back(far / near);
   }
   if (ratios.size() < kMinRatios) return 0;
-  const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
-  std::nth_element(ratios.begin(), middle, ratios.end());
-  const double median = *middle;
+  const double median = upper_median(ratios);
   const auto good =
       static_cast<std::size_t>(std::count_if(ratios.begin(), ratios.end(), [&](double r) {
         return std::abs(r / median - 1) < kRatioTolerance;

@@ -90,7 +90,8 @@ class Places : public testing::Test {
     flight = test::Simulator(simulation).fly();
     BackendOptions options;
     options.final_adjustment = false;
-    backend = std::make_unique<Backend>(options, false, 1);
+    options.intrinsics = "fixed";
+    backend = std::make_unique<Backend>(options, IntrinsicsOrigin::calibration, 1);
   }
   PoseEvent add(std::size_t i) { return event = backend->add(flight.frames[i]); }
   [[nodiscard]] std::size_t last_query() const {
