@@ -168,6 +168,12 @@ std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, c
   row("map", fmt::format("{} keyframes, {} landmarks, {} segment{}", n.keyframes, n.landmarks,
                          n.segments, n.segments == 1 ? "" : "s"));
   row("scale", describe_scale(result));
+  if (const PlaceCounts& p = result.places;
+      p.relocalizations + p.loops + p.merges + p.connections + p.refused > 0) {
+    row("places", fmt::format("{} relocalized, {} loops closed, {} segments joined, {} more "
+                              "recognised, {} refused",
+                              p.relocalizations, p.loops, p.merges, p.connections, p.refused));
+  }
   if (result.options.mapping.enabled) {
     row("mesh", fmt::format("{} triangles from {} depth maps", n.triangles, n.depth_maps));
   }

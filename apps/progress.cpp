@@ -113,6 +113,7 @@ Json to_json(const PoseEvent& event) {
   json["mse_px2"] = event.mse_px2;
   json["keyframe"] = event.keyframe;
   json["segment"] = event.segment;
+  json["resets"] = event.resets;
   json["latency_ms"] = event.latency_ms;
   return json;
 }

@@ -133,6 +133,11 @@ std::string report_json(const ReportFacts& facts) {
                 {"observations", n.observations},
                 {"segments", n.segments},
                 {"camera", nullptr}};
+  out["places"] = {{"relocalizations", result.places.relocalizations},
+                   {"loops", result.places.loops},
+                   {"merges", result.places.merges},
+                   {"connections", result.places.connections},
+                   {"refused", result.places.refused}};
   if (result.map && result.map->camera) out["map"]["camera"] = to_json(*result.map->camera);
   out["depth"] = {
       {"maps", n.depth_maps}, {"coverage", n.depth_coverage}, {"confidence", n.depth_confidence}};

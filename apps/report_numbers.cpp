@@ -7,6 +7,7 @@
 #include <cmath>
 #include <fstream>
 #include <numeric>
+#include <set>
 #include <thread>
 
 namespace corvid {
@@ -69,7 +70,7 @@ RunNumbers count_run(const RunResult& result) {
 
   std::vector<double> tracks, inliers, rms, latency;
   std::optional<std::int64_t> first_pose_ns;
-  int last_segment = -1;
+  std::set<int> segments;  // of the final map, where there is one: some may have been joined
   for (const PoseEvent& e : result.events) {
     ++n.events;
     const auto state = static_cast<std::size_t>(e.state);
@@ -82,10 +83,7 @@ RunNumbers count_run(const RunResult& result) {
       ++n.with_pose;
       inliers.push_back(e.inliers);
       rms.push_back(std::sqrt(std::max(e.mse_px2, 0.0)));
-      if (e.segment != last_segment) {
-        ++n.segments;
-        last_segment = e.segment;
-      }
+      segments.insert(e.segment);
     } else if (first_pose_ns) {
       ++n.untracked_after_start;
     }
@@ -112,12 +110,16 @@ RunNumbers count_run(const RunResult& result) {
     if (std::isfinite(step)) n.path_length += step;
   }
   if (result.map) {
+    segments.clear();
+    for (const auto& keyframe : result.map->keyframes) segments.insert(keyframe->segment);
     n.keyframes = result.map->keyframes.size();
     n.landmarks = result.map->landmarks.size();
     for (const auto& keyframe : result.map->keyframes) {
       n.observations += keyframe->observations.size();
     }
   }
+
+  n.segments = static_cast<int>(segments.size());
 
   std::size_t pixels = 0, answers = 0;
   double confidence = 0;

@@ -7,14 +7,17 @@
 #include <cmath>
 #include <deque>
 #include <optional>
+#include <span>
 #include <thread>
 
 #include "backend/map_data.h"
 #include "backend/map_positions.h"
+#include "backend/places.h"
 #include "backend/resect.h"
 #include "backend/start.h"
 #include "backend/window.h"
 #include "core/check.h"
+#include "core/log.h"
 #include "core/median.h"
 #include "core/stopwatch.h"
 
@@ -30,6 +33,8 @@ constexpr int kIntrinsicsFrom = 6;     ///< keyframes before intrinsics are refi
 constexpr int kIntrinsicsUntil = 30;   ///< keyframes after which windows leave them alone
 /// Keyframes at which the distortion alone is refined.
 constexpr std::array kDistortionAt{6, 9, 13, 20, 30};
+constexpr int kUntrackedStride = 5;      ///< of the frames that are looked for while lost
+constexpr std::size_t kMostWaiting = 8;  ///< of them whose answer may still come
 
 /// Factor on the covariance of a pose that rests on a small part of what is tracked: when the world
 /// agrees, 70 % and more do.
@@ -76,7 +81,12 @@ struct Backend::Impl {
     return static_cast<int>(map.keyframes.size()) - segment_first;
   }
   void straighten_segments();
-  void publish_motion(const FrameTracks& tracks);
+  void adjust_newest();
+  void enter_segment(int older);
+  void choose_query(const FrameTracks& tracks, bool keyframe_of_map);
+  void recognise(const PlaceMatch& match);
+  [[nodiscard]] bool relocalize(const FrameTracks& tracks, const PlacePose& place);
+  void publish_motion(std::span<const TrackObservation> observations);
   void publish_map();
   void lap(const char* part) { timings.emplace_back(part, watch.lap_ms()); }
 
@@ -92,6 +102,7 @@ struct Backend::Impl {
   Starter starter;
   MapPositions positions{options};
   int segment = 0, segment_first = 0;
+  int newest_segment = 0;  ///< highest number given so far
   std::vector<FrameRecord> frames;
   std::size_t segment_first_frame = 0;  ///< in `frames`
   FramePtr newest_frame;
@@ -102,7 +113,12 @@ struct Backend::Impl {
   int lost_frames = 0;
   FocalBelief focal{true};
   double median_depth = 1;  ///< of the last good frame's landmarks
-  std::uint64_t version = 0;
+  std::uint64_t version = 0, resets = 0;
+  FusedTracks fused;
+  PlaceCounts places;
+  std::optional<FrameTracks> query;
+  std::deque<FrameTracks> waiting;  ///< queries that are not in the map, oldest first
+  std::vector<TrackObservation> newest_observations;
   std::shared_ptr<const MapSnapshot> published_map = std::make_shared<MapSnapshot>();
   std::shared_ptr<const MotionState> published_motion = std::make_shared<MotionState>();
   Timings timings;
@@ -141,8 +157,67 @@ PoseEvent Backend::Impl::add(const FrameTracks& tracks) {
   event.segment = segment;
   event.placement = positions.placement(segment);
   if (event.placement) event.scale = event.placement->scale;
-  publish_motion(tracks);
+  event.resets = resets;
+  choose_query(tracks, event.keyframe);
+  newest_observations = tracks.observations;
+  publish_motion(newest_observations);
   return event;
+}
+
+void Backend::Impl::choose_query(const FrameTracks& tracks, bool keyframe_of_map) {
+  query.reset();
+  if (map.keyframes.empty()) return;
+  const bool untracked = mode == Mode::starting || lost_frames > 0;
+  if (!untracked) {
+    waiting.clear();
+    if (keyframe_of_map) query = tracks;
+    return;
+  }
+  if (tracks.observations.size() < static_cast<std::size_t>(options.min_inliers)) return;
+  if (!tracks.keyframe && tracks.frame->id.value % kUntrackedStride != 0) return;
+  query = tracks;
+  waiting.push_back(tracks);
+  if (waiting.size() > kMostWaiting) waiting.pop_front();
+}
+
+void Backend::Impl::recognise(const PlaceMatch& match) {
+  if (match.references.empty()) return;
+  timings.clear();
+  watch = Stopwatch();
+  const auto in_map = std::find_if(map.keyframes.rbegin(), map.keyframes.rend(),
+                                   [&](const auto& k) { return k.frame->id == match.query; });
+  const auto lost = std::find_if(waiting.begin(), waiting.end(),
+                                 [&](const auto& t) { return t.frame->id == match.query; });
+  const PlacePose place = place_pose(map, fused, match, options);
+  std::string refusal = place.refusal;
+  if (place.ok && in_map != map.keyframes.rend()) {
+    const int k = static_cast<int>(map.keyframes.rend() - in_map) - 1;
+    const PlaceOutcome outcome = recognise_keyframe(map, frames, fused, k, place, options, threads);
+    refusal = outcome.reason;
+    using Kind = PlaceOutcome::Kind;
+    places.connections += outcome.kind == Kind::connected ? 1 : 0;
+    places.loops += outcome.kind == Kind::loop ? 1 : 0;
+    places.merges += outcome.kind == Kind::merge ? 1 : 0;
+    if (outcome.kind == Kind::merge && outcome.from == segment) enter_segment(outcome.to);
+    if (outcome.kind == Kind::loop || outcome.kind == Kind::merge) {
+      median_depth *= outcome.scale;
+      ++resets;
+    }
+    if (outcome.kind != Kind::refused && mode == Mode::tracking) adjust_newest();
+  } else if (place.ok && lost != waiting.end()) {
+    const FrameTracks tracks = *lost;
+    if (relocalize(tracks, place)) {
+      ++places.relocalizations;
+      ++resets;
+    }
+  }
+  if (!refusal.empty()) {
+    ++places.refused;
+    log().debug("frame {}: the place is refused: {}", match.query.value, refusal);
+  }
+  lap("backend/place");
+  publish_map();
+  publish_motion(newest_observations);
 }
 
 void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
@@ -276,7 +351,7 @@ void Backend::Impl::add_lost(const FrameTracks& tracks, std::string reason, Pose
   // A frame without any track says nothing: the frontend keeps its tracks through a dark moment.
   const bool none_left = !tracks.observations.empty() && sight(tracks).points.empty();
   if (!none_left && lost_frames <= kMaxLostFrames) return;
-  ++segment;
+  segment = ++newest_segment;
   mode = Mode::starting;
   event->reason += "; a new map segment starts";
   if (none_left) {  // what was held before shares nothing with what comes
@@ -467,6 +542,15 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
   frames.push_back({tracks.frame->id, tracks.frame->time_ns, k, Pose()});
   map.triangulate_tracks(k, options.min_angle_rad, options.max_error_px);
   lap("backend/triangulate");
+  adjust_newest();
+  learn_focal();
+  map.forget_tracks(k - options.window_keyframes);
+  lap("backend/adjust");
+  publish_map();
+}
+
+/// Window adjustment around the newest keyframe.
+void Backend::Impl::adjust_newest() {
   // While the intrinsics settle everything moves with them; later they stay, and so does the past.
   const IntrinsicsPolicy policy = intrinsics_policy();
   const bool settling =
@@ -477,10 +561,6 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
   positions.follow(map, segment);
   lap("backend/positions");
   adjust_window(map, segment_first, count, options, threads, policy);
-  learn_focal();
-  map.forget_tracks(k - options.window_keyframes);
-  lap("backend/adjust");
-  publish_map();
 }
 
 void Backend::Impl::learn_focal() {
@@ -488,7 +568,54 @@ void Backend::Impl::learn_focal() {
   focal.add(map.keyframes.back().focal, std::min(options.window_keyframes, segment_keyframes()));
 }
 
-void Backend::Impl::publish_motion(const FrameTracks& tracks) {
+/// What follows belongs to an older segment.
+void Backend::Impl::enter_segment(int older) {
+  segment = older;
+  const auto first = std::find_if(map.keyframes.begin(), map.keyframes.end(),
+                                  [&](const MapKeyframe& k) { return k.segment == older; });
+  segment_first = static_cast<int>(first - map.keyframes.begin());
+}
+
+/// A frame that was not in the map is recognised: it becomes a keyframe of the segment where it is.
+bool Backend::Impl::relocalize(const FrameTracks& tracks, const PlacePose& place) {
+  const bool untracked = mode == Mode::starting || lost_frames > 0;
+  if (!untracked || (!frames.empty() && frames.back().time_ns >= tracks.frame->time_ns))
+    return false;
+  const Pose T_camera_world = place.T_world_query.inverse();
+  std::vector<TrackObservation> kept;
+  for (const TrackObservation& o : tracks.observations) {
+    const auto it = map.tracks.find(o.track);
+    if (it != map.tracks.end() && it->second.landmark) {
+      const auto pixel = map.camera.project(T_camera_world * it->second.p_world);
+      if (!pixel || (*pixel - o.pixel).norm() > options.max_error_px) continue;
+    }
+    kept.push_back(o);
+  }
+  enter_segment(place.segment);
+  segment_first_frame = frames.size();
+  mode = Mode::tracking;
+  lost_frames = 0;
+  starter.clear();
+  waiting.clear();
+  const int k = map.add_keyframe(tracks.frame, segment, place.T_world_query, kept);
+  const MapKeyframe& reference = map.keyframes[static_cast<std::size_t>(place.reference)];
+  Drift& drift = map.keyframes.back().drift;
+  drift = reference.drift.seen_from(reference.T_world_camera.inverse() * place.T_world_query);
+  drift.covariance.topLeftCorner<6, 6>() += kObservationsPerFact * place.covariance;
+  residuals.clear();
+  odd_frames = 0;
+  frames.push_back({tracks.frame->id, tracks.frame->time_ns, k, Pose()});
+  connect_place(map, k, place, kept, fused);
+  guess_points(map, k, place, kept);
+  std::vector<double> depths;
+  for (const PlaceInlier& i : place.inliers)
+    if (const auto it = map.tracks.find(resolve(fused, i.landmark)); it != map.tracks.end())
+      depths.push_back((T_camera_world * it->second.p_world).norm());
+  median_depth = upper_median(std::move(depths));
+  return true;
+}
+
+void Backend::Impl::publish_motion(std::span<const TrackObservation> observations) {
   auto motion = std::make_shared<MotionState>();
   if (mode == Mode::tracking && lost_frames == 0) {
     const std::size_t count = std::min<std::size_t>(2, frames.size() - segment_first_frame);
@@ -503,7 +630,7 @@ void Backend::Impl::publish_motion(const FrameTracks& tracks) {
       motion->keyframes.emplace_back(map.keyframes[k].frame->id, map.keyframes[k].T_world_camera);
     if (freedom != IntrinsicsFreedom::fixed) motion->camera = published_map->camera;
   }
-  for (const TrackObservation& o : tracks.observations) {
+  for (const TrackObservation& o : observations) {
     const auto it = map.tracks.find(o.track);
     if (it == map.tracks.end()) continue;
     if (it->second.dead) {
@@ -540,6 +667,12 @@ Backend::Backend(const BackendOptions& options, IntrinsicsOrigin origin, int thr
 Backend::~Backend() = default;
 
 PoseEvent Backend::add(const FrameTracks& tracks) { return impl_->add(tracks); }
+
+const std::optional<FrameTracks>& Backend::place_query() const { return impl_->query; }
+
+void Backend::recognise(const PlaceMatch& match) { impl_->recognise(match); }
+
+const PlaceCounts& Backend::places() const { return impl_->places; }
 
 std::shared_ptr<const MotionState> Backend::motion() const { return impl_->published_motion; }
 

@@ -1,11 +1,13 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "core/place.h"
 #include "core/tracks.h"
 #include "corvid/map.h"
 #include "corvid/options.h"
@@ -38,6 +40,14 @@ class Backend {
   PoseEvent add(const FrameTracks& tracks);
   /// Positions of the camera, in any order; they count from the next keyframe on.
   void add_positions(std::span<const PositionFix> fixes);
+  /// The last added frame, if it is worth looking for among older keyframes: a keyframe of the map,
+  /// or one of the frames while the camera is lost or a new segment starts.
+  [[nodiscard]] const std::optional<FrameTracks>& place_query() const;
+  /// A frame that place_query() gave was recognised in a state of map() since then. Between two
+  /// frames: finds a lost camera again, closes a loop, or joins two segments; or does nothing, if
+  /// it is not believed or comes too late. Afterwards map() and motion() are new.
+  void recognise(const PlaceMatch& match);
+  [[nodiscard]] const PlaceCounts& places() const;
   /// For the frontend's prediction of the next frame. Never null.
   [[nodiscard]] std::shared_ptr<const MotionState> motion() const;
   /// The newest published map. Never null; without keyframes while starting.
@@ -50,7 +60,7 @@ class Backend {
   /// Where each segment lies on Earth, newest knowledge; nothing is metric without positions.
   [[nodiscard]] std::vector<MapPlacement> placements() const;
   /// Wall time of the parts of the last add() that ran: "backend/start", "backend/resect",
-  /// "backend/triangulate", "backend/adjust" [ms].
+  /// "backend/triangulate", "backend/adjust"; of the last recognise(): "backend/place" [ms].
   [[nodiscard]] std::vector<std::pair<std::string, double>> last_timings_ms() const;
 
  private:

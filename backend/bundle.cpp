@@ -3,7 +3,6 @@
 #include <ceres/loss_function.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
-#include <glog/logging.h>
 
 #include <algorithm>
 #include <cmath>
@@ -12,22 +11,13 @@
 
 #include "backend/costs/position.h"
 #include "backend/costs/reprojection.h"
+#include "backend/quiet_ceres.h"
 #include "core/check.h"
 
 namespace corvid {
 namespace {
 
 constexpr int kDenseLimit = 40;  ///< free poses up to which the reduced system is solved densely
-
-/// Ceres warns through glog, which writes to stderr until a program sets it up: the solver's
-/// troubles come back in its summary, and the library prints nothing.
-void silence_glog() {
-  static const bool done = [] {
-    if (!google::IsGoogleLoggingInitialized()) FLAGS_minloglevel = google::GLOG_FATAL;
-    return true;
-  }();
-  (void)done;
-}
 
 double median_sigma(const std::vector<BundleObservation>& observations) {
   std::vector<double> sigmas;

@@ -217,8 +217,12 @@ bool adjust_window(MapData& map, int first, int count, const BackendOptions& opt
   const int size = static_cast<int>(map.keyframes.size());
   CORVID_CHECK(first >= 0 && first < size, "no such keyframe");
   std::vector<std::uint8_t> moving(map.keyframes.size(), 0);
-  for (int k = std::max(first, size - count); k < size; ++k)
+  const int segment = map.keyframes.back().segment;
+  for (int k = size - 1; k >= first && count > 0; --k) {
+    if (map.keyframes[static_cast<std::size_t>(k)].segment != segment) continue;
     moving[static_cast<std::size_t>(k)] = 1;
+    --count;
+  }
   Part part = collect(map, moving, first);
   int fixed = 0;
   for (std::size_t i = 0; i < part.keyframes.size(); ++i) {

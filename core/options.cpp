@@ -121,11 +121,21 @@ std::vector<std::string> BackendOptions::validate() const {
   p.in("max_scale_sigma", max_scale_sigma, 1e-6, 1.0);
   p.in("max_position_gap_s", max_position_gap_s, 0.0, 60.0);
   p.at_least("min_inliers", min_inliers, 4);  // fewer do not fix a pose
+  p.in("loop_max_drift", loop_max_drift, 0.0, 1.0);
   if (intrinsics != "auto" && intrinsics != "fixed" && intrinsics != "distortion" &&
       intrinsics != "all") {
     p.add("intrinsics",
           fmt::format("must be auto, fixed, distortion or all, not \"{}\"", intrinsics));
   }
+  return p.take();
+}
+
+std::vector<std::string> PlaceOptions::validate() const {
+  Problems p("place");
+  p.in("candidates", candidates, 1, 20);
+  p.in("min_similarity", min_similarity, 0.0, 1.0);
+  p.in("min_landmarks", min_landmarks, 12, 1000);
+  p.in("min_share", min_share, 0.0, 1.0);
   return p.take();
 }
 
@@ -154,6 +164,7 @@ std::vector<std::string> Options::validate() const {
   };
   append(matching.validate());
   append(backend.validate());
+  append(place.validate());
   append(mapping.validate());
   Problems p("");
   if (device != "auto" && device != "cpu" && device != "gpu" && !is_index(device)) {

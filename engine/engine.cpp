@@ -20,6 +20,7 @@
 #include "engine/queue.h"
 #include "engine/queue_brake.h"
 #include "frontend/frontend.h"
+#include "frontend/place_finder.h"
 #include "kernels/device.h"
 #include "mapping/mapper.h"
 
@@ -63,6 +64,29 @@ class MotionMailbox {
   std::vector<TrackId> pending_;
 };
 
+/// A frame to be looked for, and the map in which.
+struct PlaceQuery {
+  FrameTracks tracks;
+  std::shared_ptr<const MapSnapshot> map;
+};
+
+/// What was recognised, on its way to the backend.
+class PlaceMailbox {
+ public:
+  void put(PlaceMatch match) {
+    const std::lock_guard lock(mutex_);
+    matches_.push_back(std::move(match));
+  }
+  [[nodiscard]] std::vector<PlaceMatch> take() {
+    const std::lock_guard lock(mutex_);
+    return std::exchange(matches_, {});
+  }
+
+ private:
+  std::mutex mutex_;
+  std::vector<PlaceMatch> matches_;
+};
+
 }  // namespace
 
 struct Engine::Impl {
@@ -80,17 +104,22 @@ struct Engine::Impl {
     Gate& gate;
     std::unique_ptr<Frontend> frontend;
     std::unique_ptr<Backend> backend;
-    std::unique_ptr<Mapper> mapper;  // null if mapping is off
+    std::unique_ptr<Mapper> mapper;       // null if mapping is off
+    std::unique_ptr<PlaceFinder> finder;  // null if places are not recognised
     SteadyClock clock;
     Metrics metrics;
     MotionMailbox motion;
     Latest<MapSnapshot> map;
+    Latest<PlaceQuery> place_query;  // the newest counts
+    PlaceMailbox recognised;
     RunResult result;
     double& held_ms;  // that mapping has waited at the gate; of the thread that maps
 
     // Each stage is a plain function; the two ways to run them are below.
     [[nodiscard]] FrameTracks track(const FramePtr& frame);
     void estimate(const TimedTracks& tracks);
+    bool recognise();
+    void find_place(const PlaceQuery& query);
     bool map_once(const MapSnapshot& snapshot);
 
     std::optional<Error> run_inline(const std::stop_token& stop);
@@ -133,11 +162,14 @@ FrameTracks Engine::Impl::Run::track(const FramePtr& frame) {
 void Engine::Impl::Run::estimate(const TimedTracks& timed) {
   Stopwatch watch;
   if (positions) backend->add_positions(positions->take());
+  const bool moved = recognise();
   PoseEvent event = backend->add(timed.tracks);
   metrics.add("backend", watch.lap_ms());
   metrics.add(backend->last_timings_ms());
   motion.publish(backend->motion());
-  if (timed.tracks.keyframe) map.publish(backend->map());
+  if (timed.tracks.keyframe || moved) map.publish(backend->map());
+  if (const auto& query = backend->place_query(); query && finder)
+    place_query.publish(std::make_shared<PlaceQuery>(PlaceQuery{*query, backend->map()}));
   event.latency_ms = static_cast<double>(clock.now_ns() - timed.entered_ns) * 1e-6;
   metrics.add("latency", event.latency_ms);
   log().debug("frame {}: {}{}{}, {} of {} tracks agree, {:.3f} px^2", event.frame.value,
@@ -145,6 +177,31 @@ void Engine::Impl::Run::estimate(const TimedTracks& timed) {
               event.tracks, event.mse_px2);
   if (sinks.pose) sinks.pose->on_pose(event);
   result.events.push_back(std::move(event));
+}
+
+/// Hands what was recognised since the last frame to the backend; whether there was anything.
+bool Engine::Impl::Run::recognise() {
+  const auto matches = recognised.take();
+  for (const PlaceMatch& match : matches) {
+    backend->recognise(match);
+    metrics.add(backend->last_timings_ms());
+  }
+  return !matches.empty();
+}
+
+void Engine::Impl::Run::find_place(const PlaceQuery& query) {
+  Stopwatch watch;
+  PlaceSearch search = finder->find(query.tracks, *query.map);
+  metrics.add("place", watch.lap_ms());
+  metrics.add(finder->last_timings_ms());
+  for (const std::string& refusal : search.refusals)
+    log().debug("frame {} is not the place of {}", query.tracks.frame->id.value, refusal);
+  if (search.match.references.empty()) return;
+  for (const PlaceReference& reference : search.match.references)
+    log().debug("frame {} shows {} landmarks ({:.0f} %) of frame {}, similarity {:.2f}",
+                query.tracks.frame->id.value, reference.views.size(), 100 * reference.share,
+                reference.keyframe.value, reference.similarity);
+  recognised.put(std::move(search.match));
 }
 
 bool Engine::Impl::Run::map_once(const MapSnapshot& snapshot) {
@@ -167,6 +224,7 @@ std::optional<Error> Engine::Impl::Run::run_inline(const std::stop_token& stop) 
     const std::int64_t entered_ns = clock.now_ns();
     const TimedTracks tracks{track(*frame), entered_ns};
     estimate(tracks);
+    if (finder && backend->place_query()) find_place(*place_query.get());
     if (mapper && tracks.tracks.keyframe)
       while (!stop.stop_requested() && map_once(*map.get())) {
       }
@@ -229,6 +287,14 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
         while (auto timed = tracks.pop(halted)) estimate(*timed);
       });
       map.close();
+      place_query.close();
+    });
+    std::jthread place_stage([&] {
+      if (!finder) return;
+      guarded([&] {
+        std::uint64_t seen = 0;
+        while (const auto query = place_query.wait(seen, halted)) find_place(*query);
+      });
     });
     std::jthread mapping_stage([&] {
       if (!mapper) return;
@@ -248,12 +314,14 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
   Stopwatch watch;
   if (positions) backend->add_positions(positions->take());
   if (!interrupted) {
+    recognise();
     backend->finish();
     metrics.add("backend/finish", watch.lap_ms());
   }
   result.map = backend->map();
   result.trajectory = backend->trajectory();
   result.placements = backend->placements();
+  result.places = backend->places();
   if (mapper) {
     if (!interrupted) {
       log().info("mapping: finishing what is left of {} keyframes", result.map->keyframes.size());
@@ -312,6 +380,13 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
     if (!created) return tl::unexpected(created.error());
     mapper = std::move(*created);
   }
+  std::unique_ptr<PlaceFinder> finder;
+  if (impl_->options.place.enabled) {
+    auto created =
+        PlaceFinder::create(impl_->device, impl_->options.place, impl_->options.matching);
+    if (!created) return tl::unexpected(created.error());
+    finder = std::move(*created);
+  }
   auto backend = std::make_unique<Backend>(impl_->options.backend, info.intrinsics, impl_->threads);
   Impl::Run run{*impl_,
                 source,
@@ -322,6 +397,9 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
                 std::move(*frontend),
                 std::move(backend),
                 std::move(mapper),
+                std::move(finder),
+                {},
+                {},
                 {},
                 {},
                 {},

@@ -133,7 +133,7 @@ class PairMatcher::Run {
     std::size_t asked = 0;
     matched_ = search_.coarse(reference_, target_, coarse_level_, known_, prior_, asked);
     lap("coarse");
-    if (matched_.from.size() < asked / 8) {
+    if (matched_.from.size() < asked / 8 && !known_.upright) {
       Eigen::Matrix2d turn = prior_;
       PairPlaces other = search_.turned(reference_, target_, coarse_level_, turn);
       if (other.from.size() > 2 * matched_.from.size()) {

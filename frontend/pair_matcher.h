@@ -95,8 +95,9 @@ struct AuxiliaryMatches {
 /// What is known before matching; everything may be missing.
 struct PairKnowledge {
   /// From poses: the coarse search keeps to the epipolar lines.
-  std::optional<Eigen::Matrix3d> F;
+  std::optional<Eigen::Matrix3d> F = {};
   std::span<const AuxiliaryMatches> auxiliary = {};
+  bool upright = false;  ///< the images look alike as they stand: turns and scales are not tried
 };
 
 /// Matches two images by NCC (algorithms.md 3 and 4): from nothing (full search at a coarse level,

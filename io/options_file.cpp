@@ -94,7 +94,15 @@ constexpr OptionField kFields[] = {
     CORVID_OPTION(backend.final_adjustment, "adjust everything once more at the end of the run"),
     CORVID_OPTION(backend.intrinsics,
                   "intrinsics that are estimated, too: auto, fixed, distortion, all"),
+    CORVID_OPTION(backend.loop_max_drift,
+                  "a loop may move the camera by this share of the way flown since"),
     CORVID_OPTION(backend.seed, "seed of the start's and the resection's RANSAC"),
+
+    CORVID_OPTION(place.enabled, "recognise places: relocalization, loops, segments that meet"),
+    CORVID_OPTION(place.candidates, "keyframes that a frame is matched with, at most"),
+    CORVID_OPTION(place.min_similarity, "images less alike than this are not matched"),
+    CORVID_OPTION(place.min_landmarks, "landmarks of an old keyframe that must be found again"),
+    CORVID_OPTION(place.min_share, "of the landmarks that should be in view, found at least"),
 
     CORVID_OPTION(mapping.enabled,
                   "depth maps, voxel map and mesh; off: trajectory and points only"),

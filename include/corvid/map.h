@@ -37,7 +37,17 @@ struct PoseEvent {
   MapScale scale = MapScale::arbitrary;
   /// Where the segment lies on Earth, or why that is not known; null if no position ever came.
   std::shared_ptr<const MapPlacement> placement;
+  /// Rises when poses jump against those given before: a new segment, a relocalization, a closed
+  /// loop, a merge of segments. Positions of different counts must not be compared.
+  std::uint64_t resets = 0;
   double latency_ms = 0;  ///< from the frame's entry into the engine to this event
+};
+
+/// What recognised places did to a map.
+struct PlaceCounts {
+  int relocalizations = 0, loops = 0, merges = 0;  ///< a merge makes one segment of two
+  int connections = 0;                             ///< places recognised where the map fitted
+  int refused = 0;                                 ///< looked alike, but were not believed
 };
 
 struct Landmark {

@@ -75,7 +75,20 @@ struct BackendOptions {
   /// Intrinsics that are estimated, too: auto, fixed, distortion (k1, k2) or all (focal length, k1,
   /// k2). auto: all without a calibration, distortion where the calibration has none, else fixed.
   std::string intrinsics = "auto";
-  std::uint64_t seed = 1;  ///< of RANSAC
+  double loop_max_drift = 0.1;  ///< a loop that moves the camera by more is refused; share of the
+                                ///< way flown since the place was seen
+  std::uint64_t seed = 1;       ///< of RANSAC
+  [[nodiscard]] std::vector<std::string> validate() const;
+};
+
+/// Places seen before: relocalization, loops, map segments that meet (algorithms.md 6).
+struct PlaceOptions {
+  bool enabled = true;
+  int candidates = 3;            ///< keyframes that a frame is matched with, at most
+  double min_similarity = 0.35;  ///< of images, below which they are not matched; at most 1
+  int min_landmarks = 30;        ///< of an old keyframe that must be found again
+  double min_share = 0.5;        ///< of its landmarks that should be in view: repeated structure
+                                 ///< agrees in parts only, see docs/decisions/places.md
   [[nodiscard]] std::vector<std::string> validate() const;
 };
 
@@ -97,6 +110,7 @@ struct Options {
   FrontendOptions frontend;
   MatchingOptions matching;
   BackendOptions backend;
+  PlaceOptions place;
   MappingOptions mapping;
   std::string device = "auto";  ///< OpenCL device: auto, cpu, gpu, or an index from `corvid doctor`
   int threads = 0;              ///< CPU budget of all stages; 0: all cores; 1: every stage inline

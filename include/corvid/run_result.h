@@ -30,6 +30,7 @@ struct RunResult {
   std::vector<PoseEvent> events;  ///< one per frame, as they were published
   Trajectory trajectory;          ///< every frame that has a pose, with all later corrections
   std::shared_ptr<const MapSnapshot> map;
+  PlaceCounts places;
   std::vector<DepthMap> depth_maps;
   std::vector<MapPlacement> placements;  ///< one per map segment
   /// Set by place_on_earth(): trajectory, map, depth maps and mesh are in metres, east, north, up

@@ -112,7 +112,7 @@ TEST(Drift, AWrongFocalLengthIsFoundAndItsEffectForeseen) {
 
 TEST(Drift, WhatHangsTogetherTooLooselyHasNoLink) {
   EXPECT_FALSE(
-      drift_link({test::pinhole_camera(), {Pose(), Pose()}, {1, 0}, {}, {}, {}}, 0, 1, 1).ok);
+      drift_link({test::pinhole_camera(), {Pose(), Pose()}, {1, 0}, {}, {}, {}, {}}, 0, 1, 1).ok);
   // A camera that stands still sees no ranges.
   test::Case c = test::make_case(test::pinhole_camera(), 2, 50, 0, 1);
   for (BundleObservation& o : c.start.observations) {

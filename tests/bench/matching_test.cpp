@@ -135,7 +135,8 @@ TEST(Reconstruct, TheErrorFollowsFromTheNoise) {
   constexpr double kSigma_px = 0.3;
   const Scene two(2, kSigma_px);
   const MatchedPair one_pair[] = {two.pair(0, 1)};
-  const Reconstruction r2 = reconstruct(two.frames, two.poses, one_pair, false);
+  const Reconstruction r2 =
+      reconstruct(two.frames, two.poses, one_pair, IntrinsicsOrigin::calibration);
   EXPECT_EQ(r2.images, 2);
   EXPECT_EQ(r2.correspondences, r2.points);
   EXPECT_GE(r2.points, 1990) << "few are over 3 px";
@@ -144,7 +145,8 @@ TEST(Reconstruct, TheErrorFollowsFromTheNoise) {
 
   const Scene three(3, kSigma_px);
   const MatchedPair pairs[] = {three.pair(0, 1), three.pair(0, 2), three.pair(1, 2)};
-  const Reconstruction r3 = reconstruct(three.frames, three.poses, pairs, false);
+  const Reconstruction r3 =
+      reconstruct(three.frames, three.poses, pairs, IntrinsicsOrigin::calibration);
   EXPECT_EQ(r3.point_images, 3 * r3.points) << "matches of one name are one track";
   EXPECT_EQ(r3.correspondences, 3 * r3.points);
   EXPECT_NEAR(*r3.mse_px2(), 2 * kSigma_px * kSigma_px, 0.06 * 2 * kSigma_px * kSigma_px);
@@ -157,8 +159,10 @@ TEST(Reconstruct, PosesMayBeFoundFromTheTracks) {
     pairs.push_back(scene.pair(r, t));
   std::vector<std::optional<Pose>> unknown = scene.poses;
   unknown[2].reset();
-  const Reconstruction known = reconstruct(scene.frames, scene.poses, pairs, false);
-  const Reconstruction found = reconstruct(scene.frames, unknown, pairs, false);
+  const Reconstruction known =
+      reconstruct(scene.frames, scene.poses, pairs, IntrinsicsOrigin::calibration);
+  const Reconstruction found =
+      reconstruct(scene.frames, unknown, pairs, IntrinsicsOrigin::calibration);
   EXPECT_EQ(found.images, 4);
   EXPECT_NEAR(found.points, known.points, 20);
   EXPECT_NEAR(*found.mse_px2(), *known.mse_px2(), 0.01 * *known.mse_px2());
@@ -174,8 +178,10 @@ TEST(Reconstruct, AnUnknownLensIsRefinedWhereAsked) {
     changed->camera = std::make_shared<const Camera>(camera());
     frame = changed;
   }
-  const Reconstruction held = reconstruct(scene.frames, scene.poses, pairs, false);
-  const Reconstruction refined = reconstruct(scene.frames, scene.poses, pairs, true);
+  const Reconstruction held =
+      reconstruct(scene.frames, scene.poses, pairs, IntrinsicsOrigin::calibration);
+  const Reconstruction refined =
+      reconstruct(scene.frames, scene.poses, pairs, IntrinsicsOrigin::nominal);
   EXPECT_GE(refined.points, 1990);
   EXPECT_LT(*refined.mse_px2(), 0.15);
   EXPECT_GT(*held.mse_px2(), 2 * *refined.mse_px2());
@@ -190,7 +196,8 @@ TEST(Reconstruct, ConflictsAndOutliersLeave) {
   for (std::size_t k = 100; k < 120; ++k) {
     for (const std::size_t p : {1U, 2U}) pairs[p].matches[k].x_t.y() += 30;
   }
-  const Reconstruction r = reconstruct(scene.frames, scene.poses, pairs, false);
+  const Reconstruction r =
+      reconstruct(scene.frames, scene.poses, pairs, IntrinsicsOrigin::calibration);
   EXPECT_EQ(r.conflicts, 10) << "each of the ten is one track with its neighbour";
   EXPECT_EQ(r.points, 460);
   EXPECT_EQ(r.correspondences, 3 * 460);
@@ -205,7 +212,8 @@ TEST(Reconstruct, TwoMeasurementsOfOnePointMayDiffer) {
     m.point_t += 10000;
     m.x_t.x() += 0.3;
   }
-  const Reconstruction r = reconstruct(scene.frames, scene.poses, pairs, false);
+  const Reconstruction r =
+      reconstruct(scene.frames, scene.poses, pairs, IntrinsicsOrigin::calibration);
   EXPECT_EQ(r.conflicts, 0);
   EXPECT_GE(r.points, 498);
   EXPECT_EQ(r.point_images, 3 * r.points);
@@ -213,16 +221,16 @@ TEST(Reconstruct, TwoMeasurementsOfOnePointMayDiffer) {
 
 TEST(Reconstruct, NothingComesOfNothing) {
   const Scene scene(3, 0, 5);
-  EXPECT_EQ(reconstruct(scene.frames, scene.poses, {}, false).points, 0);
+  EXPECT_EQ(reconstruct(scene.frames, scene.poses, {}, IntrinsicsOrigin::calibration).points, 0);
   const MatchedPair empty[] = {{0, 1, {}, 1}};
-  EXPECT_EQ(reconstruct(scene.frames, scene.poses, empty, false).points, 0);
+  EXPECT_EQ(reconstruct(scene.frames, scene.poses, empty, IntrinsicsOrigin::calibration).points, 0);
   const MatchedPair few[] = {scene.pair(0, 1)};
   const std::vector<std::optional<Pose>> unknown(3);
-  const Reconstruction r = reconstruct(scene.frames, unknown, few, false);
+  const Reconstruction r = reconstruct(scene.frames, unknown, few, IntrinsicsOrigin::calibration);
   EXPECT_EQ(r.points, 0) << "five matches are no start";
   EXPECT_FALSE(r.mse_px2());
   const std::vector<std::optional<Pose>> still(3, Pose());  // all in one place
-  EXPECT_EQ(reconstruct(scene.frames, still, few, false).points, 0);
+  EXPECT_EQ(reconstruct(scene.frames, still, few, IntrinsicsOrigin::calibration).points, 0);
 }
 
 FlightOptions flight_options() {

@@ -42,6 +42,7 @@ std::size_t rows_of(std::string_view section) {
 TEST(OptionTable, HasEveryMemberOfEveryAggregate) {
   EXPECT_EQ(rows_of("frontend"), count_members<FrontendOptions>());
   EXPECT_EQ(rows_of("backend"), count_members<BackendOptions>());
+  EXPECT_EQ(rows_of("place"), count_members<PlaceOptions>());
   EXPECT_EQ(rows_of("mapping"), count_members<MappingOptions>());
   std::set<std::string_view> sections;
   for (const OptionField& field : option_fields()) {

@@ -1,0 +1,121 @@
+#include "backend/places.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace corvid {
+namespace {
+
+constexpr double kFits = 0.8;  // of the landmarks agree with the pose as it is: no loop to close
+
+/// The query's own tracks in its keyframe.
+std::vector<TrackObservation> observations_of(const MapData& map, int keyframe) {
+  std::vector<TrackObservation> observations;
+  for (const TrackId id : map.keyframes[static_cast<std::size_t>(keyframe)].tracks) {
+    const auto it = map.tracks.find(id);
+    if (it == map.tracks.end()) continue;
+    for (const KeyframeView& v : it->second.views) {
+      if (v.keyframe != keyframe) continue;
+      TrackObservation o{id, v.pixel, 1, Eigen::Matrix2d::Identity()};
+      o.covariance_px2 *= v.sigma_px * v.sigma_px;
+      observations.push_back(o);
+    }
+  }
+  return observations;
+}
+
+/// Share of the recognised landmarks that agree with a pose.
+double fitting(const MapData& map, const PlacePose& place, const Pose& T_world_query,
+               double max_error_px) {
+  const Pose T_query_world = T_world_query.inverse();
+  const auto fits =
+      std::count_if(place.inliers.begin(), place.inliers.end(), [&](const PlaceInlier& i) {
+        const auto pixel = map.camera.project(T_query_world * map.tracks.at(i.landmark).p_world);
+        return pixel && (*pixel - i.seen.pixel).norm() < max_error_px;
+      });
+  return static_cast<double>(fits) / static_cast<double>(place.inliers.size());
+}
+
+/// Way from one keyframe to another along those of their segment.
+double way_between(const MapData& map, int a, int b) {
+  const int segment = map.keyframes[static_cast<std::size_t>(b)].segment;
+  double way = 0;
+  const Pose* last = nullptr;
+  for (int k = std::min(a, b); k <= std::max(a, b); ++k) {
+    const MapKeyframe& keyframe = map.keyframes[static_cast<std::size_t>(k)];
+    if (keyframe.segment != segment) continue;
+    if (last) way += (keyframe.T_world_camera.translation() - last->translation()).norm();
+    last = &keyframe.T_world_camera;
+  }
+  return way;
+}
+
+PlaceOutcome merge(MapData& map, std::vector<FrameRecord>& frames, int query,
+                   const PlacePose& place, double scale) {
+  PlaceOutcome outcome;
+  const MapKeyframe& keyframe = map.keyframes[static_cast<std::size_t>(query)];
+  const Pose& T_own = keyframe.T_world_camera;
+  const Sim3 T_old_own =
+      Sim3(scale, place.T_world_query.rotation(), place.T_world_query.translation()) *
+      Sim3(1, T_own.rotation(), T_own.translation()).inverse();
+  const bool query_moves = place.segment < keyframe.segment;
+  outcome.kind = PlaceOutcome::Kind::merge;
+  outcome.from = std::max(place.segment, keyframe.segment);
+  outcome.to = std::min(place.segment, keyframe.segment);
+  outcome.scale = query_moves ? scale : 1;
+  const int anchor = query_moves ? query : place.reference;
+  const int other = query_moves ? place.reference : query;
+  Drift drift = map.keyframes[static_cast<std::size_t>(other)].drift;
+  drift.covariance.topLeftCorner<6, 6>() += kObservationsPerFact * place.covariance;
+  join_segments(map, frames, outcome.from, outcome.to,
+                query_moves ? T_old_own : T_old_own.inverse(), anchor, drift);
+  return outcome;
+}
+
+}  // namespace
+
+PlaceOutcome recognise_keyframe(MapData& map, std::vector<FrameRecord>& frames, FusedTracks& fused,
+                                int query, const PlacePose& place, const BackendOptions& options,
+                                int threads) {
+  PlaceOutcome outcome;
+  const MapKeyframe& keyframe = map.keyframes[static_cast<std::size_t>(query)];
+  const Pose T_own = keyframe.T_world_camera;
+  const std::vector<TrackObservation> observations = observations_of(map, query);
+  const bool same = place.segment == keyframe.segment;
+  if (same && fitting(map, place, T_own, options.huber_px) >= kFits) {
+    outcome.kind = PlaceOutcome::Kind::connected;
+    connect_place(map, query, place, observations, fused);
+    return outcome;
+  }
+  const double scale = scale_ratio(map, place, T_own, observations);
+  if (!(scale > 0)) {
+    outcome.reason = "the scale between the two parts of the map cannot be told";
+    return outcome;
+  }
+  if (same) {
+    const double moved = (place.T_world_query.translation() - T_own.translation()).norm();
+    const double way = way_between(map, place.reference, query);
+    if (moved > options.loop_max_drift * way || std::abs(std::log(scale)) > std::log(2.0)) {
+      outcome.reason = fmt::format(
+          "the loop would move the camera by {:.3g} after a way of {:.3g}, with a scale of {:.3g}",
+          moved, way, scale);
+      return outcome;
+    }
+    const Sim3 T_world_query(scale, place.T_world_query.rotation(),
+                             place.T_world_query.translation());
+    if (!bend_loop(map, frames, query, place.reference, T_world_query, threads)) {
+      outcome.reason = "the pose graph cannot be solved";
+      return outcome;
+    }
+    outcome.kind = PlaceOutcome::Kind::loop;
+    outcome.scale = scale;
+  } else {
+    outcome = merge(map, frames, query, place, scale);
+  }
+  connect_place(map, query, place, observations, fused);
+  return outcome;
+}
+
+}  // namespace corvid

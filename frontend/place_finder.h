@@ -1,0 +1,57 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/place.h"
+#include "core/stopwatch.h"
+#include "core/tracks.h"
+#include "corvid/error.h"
+#include "corvid/map.h"
+#include "corvid/options.h"
+#include "frontend/pair_matcher.h"
+#include "frontend/place_index.h"
+#include "kernels/device.h"
+
+namespace corvid {
+
+/// What looking for a frame's place gave.
+struct PlaceSearch {
+  PlaceMatch match;
+  std::vector<std::string> refusals;  ///< of keyframes that looked alike, one each
+};
+
+/// Finds the keyframes of the map that show what a frame shows, without knowing where it is:
+/// similar images are ranked by PlaceIndex, and the best are matched with the frame by PairMatcher,
+/// which gives the exact place of the old keyframe's landmarks in it.
+///
+/// Keyframes of one map are indexed as they come; memory is 3 KiB for each. One owner; not
+/// thread-safe. Deterministic. find() throws DeviceFault.
+class PlaceFinder {
+ public:
+  [[nodiscard]] static Expected<std::unique_ptr<PlaceFinder>> create(
+      std::shared_ptr<Device> device, const PlaceOptions& options, const MatchingOptions& matching);
+
+  /// @param query  a frame; what its tracks are connected with is no news and is left out.
+  /// @param map    a state of the same growing map as in the calls before.
+  [[nodiscard]] PlaceSearch find(const FrameTracks& query, const MapSnapshot& map);
+  /// Wall time of the parts of the last find() [ms].
+  [[nodiscard]] const Timings& last_timings_ms() const { return timings_; }
+
+ private:
+  PlaceFinder(const PlaceOptions& options, std::unique_ptr<PairMatcher> pairs);
+  /// Keyframes that show nothing that the query's tracks do not know, by position.
+  [[nodiscard]] static std::vector<std::uint8_t> unconnected(const FrameTracks& query,
+                                                             const MapSnapshot& map);
+  /// The landmarks of a keyframe in the query; without any, `refusal` says why.
+  [[nodiscard]] PlaceReference verify(const Keyframe& keyframe, const MatchView& target,
+                                      std::string& refusal);
+
+  PlaceOptions options_;
+  std::unique_ptr<PairMatcher> pairs_;
+  PlaceIndex index_;
+  Timings timings_;
+};
+
+}  // namespace corvid
