@@ -13,7 +13,7 @@ namespace {
 
 constexpr int kMaxKeyframes = 10;
 constexpr int kLeastFrames = 6;  ///< of a video between the pair: two views agree with too much
-constexpr double kMostOutliers = 0.2;    ///< of the points in the frames held, or as much error
+constexpr double kMostOutliers = 0.2;    ///< of the points in the frames held
 constexpr std::size_t kMaxFrames = 600;  ///< half a minute at 20 Hz; about 20 MB of tracks
 
 ResectSettings resect_settings(const BackendOptions& options) {
@@ -98,7 +98,7 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
                                          const Pose& T_world_first, double median_depth,
                                          const BackendOptions& options, int threads,
                                          const Pair& pair, const TwoViewMotion& motion,
-                                         double* cost) const {
+                                         Disagreement* disagreement) const {
   std::vector<double> depths;
   for (const Eigen::Vector3d& p : motion.p_a) depths.push_back(p.norm());
   const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
@@ -128,7 +128,8 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
     const double max2 = options.max_error_px * options.max_error_px;
     const auto n = static_cast<double>(views.size());
     if (n > 0) {
-      *cost += (r.inliers * r.mse_px2 + (n - r.inliers) * max2) / n;
+      disagreement->cost_px2 += (r.inliers * r.mse_px2 + (n - r.inliers) * max2) / n;
+      disagreement->outliers += (n - r.inliers) / n;
       ++judges;
     }
     return r;
@@ -141,7 +142,7 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
   StartedMap started;
   MapData& map = started.map;
   map.camera = camera;
-  *cost = 0;
+  *disagreement = {};
   std::vector<int> keyframe_of(held_.size(), -1);
   for (std::size_t h = 0; h < held_.size(); ++h) {
     if (!held_[h].keyframe) continue;
@@ -195,7 +196,8 @@ std::optional<StartedMap> Starter::build(const Camera& camera, int segment,
     const Pose& T = map.keyframes[static_cast<std::size_t>(k)].T_world_camera;
     started.frames.push_back({held_[h].id, held_[h].time_ns, k, T.inverse() * r.T_world_camera});
   }
-  *cost /= std::max(1, judges);
+  disagreement->cost_px2 /= std::max(1, judges);
+  disagreement->outliers /= std::max(1, judges);
   return started;
 }
 
@@ -210,28 +212,29 @@ std::optional<StartedMap> Starter::attempt(const Camera& camera, int segment,
   const std::optional<Pair> pair = best_pair(camera, options);
   if (!pair) return std::nullopt;
   const TwoView& found = pair->two_view;
-  double cost = 0;
+  Disagreement found_disagrees;
   auto started = build(camera, segment, T_world_first, median_depth, options, threads, *pair,
-                       found.motion, &cost);
+                       found.motion, &found_disagrees);
   if (found.rival) {
-    double rival_cost = 0;
+    Disagreement rival_disagrees;
     auto rival = build(camera, segment, T_world_first, median_depth, options, threads, *pair,
-                       *found.rival, &rival_cost);
+                       *found.rival, &rival_disagrees);
     const bool both = started.has_value() && rival.has_value();
+    const double cost = found_disagrees.cost_px2, rival_cost = rival_disagrees.cost_px2;
     if (both && std::max(cost, rival_cost) < 1.1 * std::min(cost, rival_cost)) {
       reason_ = "a plane with two explanations: waiting for a view that tells them apart";
       return std::nullopt;
     }
     if (rival && (!started || rival_cost < cost)) {
       started = std::move(rival);
-      cost = rival_cost;
+      found_disagrees = rival_disagrees;
     }
   }
   if (!started) {
     reason_ = "the first points do not hold together";
     return std::nullopt;
   }
-  if (cost > kMostOutliers * options.max_error_px * options.max_error_px) {
+  if (found_disagrees.outliers > kMostOutliers) {
     reason_ = "a part of the image moves differently from the rest";
     return std::nullopt;
   }

@@ -57,12 +57,17 @@ class Starter {
     TwoView two_view;
     std::vector<TrackId> tracks;
   };
-  /// The map of one motion hypothesis; `cost` is how badly the frames held agree with it.
+  /// How badly the frames held agree with a motion hypothesis, means over the frames.
+  struct Disagreement {
+    double cost_px2 = 0;  ///< squared error, that of outliers at the limit
+    double outliers = 0;  ///< share of the points
+  };
+  /// The map of one motion hypothesis.
   [[nodiscard]] std::optional<StartedMap> build(const Camera& camera, int segment,
                                                 const Pose& T_world_first, double median_depth,
                                                 const BackendOptions& options, int threads,
                                                 const Pair& pair, const TwoViewMotion& motion,
-                                                double* cost) const;
+                                                Disagreement* disagreement) const;
   [[nodiscard]] std::optional<Pair> best_pair(const Camera& camera, const BackendOptions& options);
 
   std::deque<Held> held_;

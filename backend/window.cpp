@@ -187,26 +187,38 @@ void estimate_drift(MapData& map, const Part& part, int first, double huber_px) 
   k.focal = {link.focal.share, std::sqrt(kObservationsPerFact) * link.focal.sigma};
 }
 
-/// adjust(), with the last freedom of the intrinsics taken only where what it explains is beyond
-/// doubt: over a plane seen from one side, distortion and a bent ground cannot be told apart.
-bool adjust_part(BundleProblem& problem, const BundleSettings& settings) {
+/// Frees more intrinsics in an adjusted problem, where what they explain is beyond doubt: over a
+/// plane seen from one side, distortion and a bent ground cannot be told apart.
+bool explains_more(BundleProblem& problem, const BundleSettings& settings) {
   constexpr double kLeastRatio = 100, kLeastShare = 0.01;
+  const double unknowns = 6.0 * static_cast<double>(problem.T_world_camera.size()) +
+                          3.0 * static_cast<double>(problem.points.size());
+  const double rows = 2.0 * static_cast<double>(problem.observations.size());
+  const BundleResult r = adjust(problem, settings);
+  const double explained = r.initial_cost - r.final_cost;
+  // Likelihood ratio of the two models: chi-square with as many degrees of freedom as intrinsics
+  // were freed, if errors are independent; they are not quite, hence the margin.
+  return r.ok && explained * (rows - unknowns) > kLeastRatio * r.final_cost &&
+         explained > kLeastShare * r.final_cost;
+}
+
+/// adjust(), with the last freedom of the intrinsics only where explains_more().
+bool adjust_part(BundleProblem& problem, const BundleSettings& settings) {
   BundleSettings sure = settings;
   if (settings.freedom == IntrinsicsFreedom::radial) sure.freedom = IntrinsicsFreedom::fixed;
   if (settings.freedom == IntrinsicsFreedom::all) sure.freedom = IntrinsicsFreedom::focal;
   if (!adjust(problem, sure).ok) return false;
   if (sure.freedom == settings.freedom) return true;
   BundleProblem freed = problem;
-  const BundleResult r = adjust(freed, settings);
-  const double unknowns = 6.0 * static_cast<double>(problem.T_world_camera.size()) +
-                          3.0 * static_cast<double>(problem.points.size());
-  const double rows = 2.0 * static_cast<double>(problem.observations.size());
-  const double explained = r.initial_cost - r.final_cost;
-  // Likelihood ratio of the two models: chi-square with as many degrees of freedom as intrinsics
-  // were freed, if errors are independent; they are not quite, hence the margin.
-  if (r.ok && explained * (rows - unknowns) > kLeastRatio * r.final_cost &&
-      explained > kLeastShare * r.final_cost)
-    problem = std::move(freed);
+  if (!explains_more(freed, settings)) return true;
+  if (settings.freedom == IntrinsicsFreedom::radial) {
+    // A focal length that is wrong looks like distortion, too: then the calibration is no good, and
+    // that is for others to say.
+    BundleSettings focal = settings;
+    focal.freedom = IntrinsicsFreedom::focal;
+    if (BundleProblem more = freed; explains_more(more, focal)) return true;
+  }
+  problem = std::move(freed);
   return true;
 }
 

@@ -267,7 +267,7 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
           }
           if (!*frame) break;
           TimedFrame timed{std::move(*frame), clock.now_ns()};
-          if (live && mapper) timed.turn = gate.enter();
+          if (live && (mapper || finder)) timed.turn = gate.enter();
           if (!frames.push(std::move(timed), halted)) break;
         }
       });
@@ -382,8 +382,8 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
   }
   std::unique_ptr<PlaceFinder> finder;
   if (impl_->options.place.enabled) {
-    auto created =
-        PlaceFinder::create(impl_->device, impl_->options.place, impl_->options.matching);
+    auto created = PlaceFinder::create(impl_->device, impl_->options.place, impl_->options.matching,
+                                       [&] { gate.wait(); });
     if (!created) return tl::unexpected(created.error());
     finder = std::move(*created);
   }

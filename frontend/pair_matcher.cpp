@@ -30,8 +30,9 @@ PairMatcher::PairMatcher(std::unique_ptr<PairSearch> search) : search_(std::move
 PairMatcher::~PairMatcher() = default;
 
 Expected<std::unique_ptr<PairMatcher>> PairMatcher::create(std::shared_ptr<Device> device,
-                                                           const MatchingOptions& options) {
-  auto search = PairSearch::create(std::move(device), options);
+                                                           const MatchingOptions& options,
+                                                           Lane lane) {
+  auto search = PairSearch::create(std::move(device), options, lane);
   if (!search) return tl::unexpected(search.error());
   return std::unique_ptr<PairMatcher>(new PairMatcher(std::move(*search)));
 }

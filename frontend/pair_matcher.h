@@ -108,8 +108,9 @@ struct PairKnowledge {
 /// Deterministic. One owner; not thread-safe. Throws DeviceFault.
 class PairMatcher {
  public:
-  [[nodiscard]] static Expected<std::unique_ptr<PairMatcher>> create(
-      std::shared_ptr<Device> device, const MatchingOptions& options);
+  [[nodiscard]] static Expected<std::unique_ptr<PairMatcher>> create(std::shared_ptr<Device> device,
+                                                                     const MatchingOptions& options,
+                                                                     Lane lane = Lane::tracking);
   ~PairMatcher();
 
   /// @param carried  points that shall be looked for whatever the corners are (tracks); they come

@@ -58,7 +58,8 @@ PairPlaces keep_agreeing(PairPlaces matched, const Eigen::Matrix2d& prior, doubl
 }
 
 Expected<std::unique_ptr<PairSearch>> PairSearch::create(std::shared_ptr<Device> device,
-                                                         const MatchingOptions& options) {
+                                                         const MatchingOptions& options,
+                                                         Lane lane) {
   auto pyramids = PyramidBuilder::create(device);
   if (!pyramids) return tl::unexpected(pyramids.error());
   auto corners = CornerDetector::create(device);
@@ -71,11 +72,11 @@ Expected<std::unique_ptr<PairSearch>> PairSearch::create(std::shared_ptr<Device>
   ncc_options.template_px = options.refine_template_px;
   if (const auto ready = ncc->prepare(ncc_options); !ready) return tl::unexpected(ready.error());
   return std::unique_ptr<PairSearch>(
-      new PairSearch(options, std::move(*pyramids), std::move(*corners), std::move(*ncc)));
+      new PairSearch(options, lane, std::move(*pyramids), std::move(*corners), std::move(*ncc)));
 }
 
 std::shared_ptr<const DevicePyramid> PairSearch::pyramid(const GreyImage& image, int levels) {
-  return pyramids_.build(image, levels, Lane::tracking);
+  return pyramids_.build(image, levels, lane_);
 }
 
 std::vector<Eigen::Vector2d> PairSearch::detect(const DevicePyramid& pyramid, int level, int most,
@@ -87,7 +88,7 @@ std::vector<Eigen::Vector2d> PairSearch::detect(const DevicePyramid& pyramid, in
   corner_options.quality = options_.corner_quality;
   corner_options.kappa = options_.harris_kappa;
   std::vector<Eigen::Vector2d> points;
-  for (const Corner& corner : corners_.detect(image, corner_options))
+  for (const Corner& corner : corners_.detect(image, corner_options, lane_))
     points.push_back(Eigen::Vector2d(corner.x_px, corner.y_px) * std::ldexp(1.0, level));
   return points;
 }
@@ -117,7 +118,7 @@ std::vector<std::vector<SearchCandidate>> PairSearch::search(
   ncc_options.peak_quality = options_.peak_quality;
   ncc_options.align_iterations = measure.exact ? kAlignIterations : 0;
   const auto results = ncc_.match(reference.pyramid->level(level), target.pyramid->level(level),
-                                  jobs, ncc_options, Lane::tracking);
+                                  jobs, ncc_options, lane_);
   std::vector<std::vector<SearchCandidate>> candidates(queries.size());
   for (std::size_t j = 0; j < results.size(); ++j)
     for (int k = 0; k < results[j].count; ++k) {

@@ -57,7 +57,8 @@ struct PairPlaces {
 class PairSearch {
  public:
   [[nodiscard]] static Expected<std::unique_ptr<PairSearch>> create(std::shared_ptr<Device> device,
-                                                                    const MatchingOptions& options);
+                                                                    const MatchingOptions& options,
+                                                                    Lane lane);
   [[nodiscard]] const MatchingOptions& options() const { return options_; }
 
   [[nodiscard]] std::shared_ptr<const DevicePyramid> pyramid(const GreyImage& image, int levels);
@@ -94,9 +95,10 @@ class PairSearch {
                                                        std::span<const AuxiliaryMatches> auxiliary);
 
  private:
-  PairSearch(const MatchingOptions& options, PyramidBuilder pyramids, CornerDetector corners,
-             NccMatcher ncc)
+  PairSearch(const MatchingOptions& options, Lane lane, PyramidBuilder pyramids,
+             CornerDetector corners, NccMatcher ncc)
       : options_(options),
+        lane_(lane),
         pyramids_(std::move(pyramids)),
         corners_(std::move(corners)),
         ncc_(std::move(ncc)) {}
@@ -112,6 +114,7 @@ class PairSearch {
                                            std::span<const AuxiliaryView::Probe> probes);
 
   MatchingOptions options_;
+  Lane lane_;
   PyramidBuilder pyramids_;
   CornerDetector corners_;
   NccMatcher ncc_;

@@ -16,6 +16,7 @@ constexpr int kMatchedPoints = 1200;      // of a keyframe: its landmarks, and c
 constexpr std::size_t kConnected = 30;    // landmarks in common: nothing new can come of a match
 constexpr std::size_t kReach = 10;        // keyframes before and after a connected one: just left
 constexpr std::size_t kMostRefusals = 2;  // of the most similar: then the others are not either
+constexpr int kMostResting = 7;           // keyframes
 constexpr double kBorderPx = 12;          // templates fit into the image
 constexpr std::size_t kSpacing = 2;       // between the keyframes that are tried
 
@@ -54,16 +55,20 @@ double share_in_view(const Camera& target, std::span<const Eigen::Vector2d> poin
 
 Expected<std::unique_ptr<PlaceFinder>> PlaceFinder::create(std::shared_ptr<Device> device,
                                                            const PlaceOptions& options,
-                                                           const MatchingOptions& matching) {
+                                                           const MatchingOptions& matching,
+                                                           std::function<void()> yield) {
   MatchingOptions small = matching;
   small.max_points = std::min(matching.max_points, kMatchedPoints);
-  auto pairs = PairMatcher::create(std::move(device), small);
+  auto pairs = PairMatcher::create(std::move(device), small, Lane::mapping);
   if (!pairs) return tl::unexpected(pairs.error());
-  return std::unique_ptr<PlaceFinder>(new PlaceFinder(options, std::move(*pairs)));
+  if (!yield) yield = [] {};
+  return std::unique_ptr<PlaceFinder>(
+      new PlaceFinder(options, std::move(*pairs), std::move(yield)));
 }
 
-PlaceFinder::PlaceFinder(const PlaceOptions& options, std::unique_ptr<PairMatcher> pairs)
-    : options_(options), pairs_(std::move(pairs)) {}
+PlaceFinder::PlaceFinder(const PlaceOptions& options, std::unique_ptr<PairMatcher> pairs,
+                         std::function<void()> yield)
+    : options_(options), pairs_(std::move(pairs)), yield_(std::move(yield)) {}
 
 std::vector<std::uint8_t> PlaceFinder::unconnected(const FrameTracks& query,
                                                    const MapSnapshot& map) {
@@ -87,6 +92,12 @@ PlaceSearch PlaceFinder::find(const FrameTracks& query, const MapSnapshot& map) 
   search.match.query = query.frame->id;
   while (index_.size() < map.keyframes.size())
     index_.add(describe_place(map.keyframes[index_.size()]->frame->grey));
+  const bool known = std::any_of(map.keyframes.begin(), map.keyframes.end(),
+                                 [&](const auto& k) { return k->frame->id == query.frame->id; });
+  if (known && resting_ > 0) {
+    --resting_;
+    return search;
+  }
   std::vector<std::uint8_t> usable = unconnected(query, map);
   usable.resize(index_.size(), 0);  // an older state of the map
   if (std::find(usable.begin(), usable.end(), 1) == usable.end()) return search;
@@ -98,6 +109,7 @@ PlaceSearch PlaceFinder::find(const FrameTracks& query, const MapSnapshot& map) 
   for (const RankedPlace& place : ranked) {
     const bool vain = search.match.references.empty() && search.refusals.size() >= kMostRefusals;
     if (place.similarity < options_.min_similarity || vain) break;
+    yield_();
     if (!target) target = pairs_->prepare(query.frame->grey, *query.frame->camera);
     const Keyframe& keyframe = *map.keyframes[place.position];
     std::string refusal;
@@ -111,6 +123,10 @@ PlaceSearch PlaceFinder::find(const FrameTracks& query, const MapSnapshot& map) 
     }
   }
   if (target) timings_.emplace_back("place/verify", watch.lap_ms());
+  if (target && known) {
+    vain_ = search.match.references.empty() ? std::min(2 * vain_ + 1, kMostResting) : 0;
+    resting_ = vain_;
+  }
   return search;
 }
 
@@ -126,6 +142,7 @@ PlaceReference PlaceFinder::verify(const Keyframe& keyframe, const MatchView& ta
     return reference;
   }
   const MatchView view = pairs_->prepare(keyframe.frame->grey, *keyframe.frame->camera, pixels);
+  yield_();
   const PairMatches matches = pairs_->match(view, target, {.upright = true});
   for (const PairMatch& match : matches.matches) {
     if (match.point >= pixels.size()) break;  // a corner

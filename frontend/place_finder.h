@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -30,9 +31,15 @@ struct PlaceSearch {
 /// thread-safe. Deterministic. find() throws DeviceFault.
 class PlaceFinder {
  public:
+  /// Its launches are put into Lane::mapping: it is work of the background.
+  /// @param yield  called between slices of some 10 ms, so that urgent work can go before; may be
+  ///               empty.
   [[nodiscard]] static Expected<std::unique_ptr<PlaceFinder>> create(
-      std::shared_ptr<Device> device, const PlaceOptions& options, const MatchingOptions& matching);
+      std::shared_ptr<Device> device, const PlaceOptions& options, const MatchingOptions& matching,
+      std::function<void()> yield = {});
 
+  /// Keyframes whose match was in vain let up to seven that follow rest: who knows where the camera
+  /// is can wait. A frame that is no keyframe of the map is looked for at once.
   /// @param query  a frame; what its tracks are connected with is no news and is left out.
   /// @param map    a state of the same growing map as in the calls before.
   [[nodiscard]] PlaceSearch find(const FrameTracks& query, const MapSnapshot& map);
@@ -40,7 +47,8 @@ class PlaceFinder {
   [[nodiscard]] const Timings& last_timings_ms() const { return timings_; }
 
  private:
-  PlaceFinder(const PlaceOptions& options, std::unique_ptr<PairMatcher> pairs);
+  PlaceFinder(const PlaceOptions& options, std::unique_ptr<PairMatcher> pairs,
+              std::function<void()> yield);
   /// Keyframes that show nothing that the query's tracks do not know, by position.
   [[nodiscard]] static std::vector<std::uint8_t> unconnected(const FrameTracks& query,
                                                              const MapSnapshot& map);
@@ -50,7 +58,9 @@ class PlaceFinder {
 
   PlaceOptions options_;
   std::unique_ptr<PairMatcher> pairs_;
+  std::function<void()> yield_;
   PlaceIndex index_;
+  int vain_ = 0, resting_ = 0;
   Timings timings_;
 };
 

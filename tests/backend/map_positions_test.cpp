@@ -112,7 +112,7 @@ Outcome fly(const Flight& flight, const std::vector<PositionFix>& fixes, bool al
   std::cout << "  " << to_string(last.scale) << " " << last.reason << ", metric events "
             << r.metric_events << " of " << r.events.size() << ", worst live " << r.worst_live_m
             << " m, final " << r.rmse_final_m << " m, Sim(3) " << ate.rmse() << " m, inliers "
-            << last.inliers << " of " << last.positions << "\n";
+            << last.inliers << " of " << last.positions << "; " << r.events.back().reason << "\n";
   return r;
 }
 
