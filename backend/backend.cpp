@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <deque>
+#include <map>
 #include <optional>
 #include <span>
 #include <thread>
@@ -106,12 +107,14 @@ struct Backend::Impl {
   std::vector<FrameRecord> frames;
   std::size_t segment_first_frame = 0;  ///< in `frames`
   FramePtr newest_frame;
-  int odd_frames = 0;                                        ///< in a row
-  Eigen::Vector2d recent_motion = Eigen::Vector2d::Zero();   ///< in them [map units, rad]
-  Eigen::Vector2d doubted_motion = Eigen::Vector2d::Zero();  ///< since the segment's start
+  int odd_frames = 0;                                       ///< in a row
+  Eigen::Vector2d recent_motion = Eigen::Vector2d::Zero();  ///< in them [map units, rad]
+  /// Such motion since a segment's start, by segment.
+  std::map<int, Eigen::Vector2d> doubted_motion{{0, Eigen::Vector2d::Zero()}};
   std::deque<double> residuals;  ///< mean squares of the segment's last frames [px^2]
   int lost_frames = 0;
   FocalBelief focal{true};
+  Camera focal_camera;      ///< with which `focal` was estimated
   double median_depth = 1;  ///< of the last good frame's landmarks
   std::uint64_t version = 0, resets = 0;
   FusedTracks fused;
@@ -190,23 +193,38 @@ void Backend::Impl::recognise(const PlaceMatch& match) {
                                  [&](const auto& t) { return t.frame->id == match.query; });
   const PlacePose place = place_pose(map, fused, match, options);
   std::string refusal = place.refusal;
+  bool changed = false;
   if (place.ok && in_map != map.keyframes.rend()) {
     const int k = static_cast<int>(map.keyframes.rend() - in_map) - 1;
+    const int segment_of_query = map.keyframes[static_cast<std::size_t>(k)].segment;
     const PlaceOutcome outcome = recognise_keyframe(map, frames, fused, k, place, options, threads);
     refusal = outcome.reason;
     using Kind = PlaceOutcome::Kind;
+    changed = outcome.kind != Kind::refused;
     places.connections += outcome.kind == Kind::connected ? 1 : 0;
     places.loops += outcome.kind == Kind::loop ? 1 : 0;
     places.merges += outcome.kind == Kind::merge ? 1 : 0;
-    if (outcome.kind == Kind::merge && outcome.from == segment) enter_segment(outcome.to);
-    if (outcome.kind == Kind::loop || outcome.kind == Kind::merge) {
+    if (outcome.kind == Kind::merge) {
+      positions.forget_segment(outcome.from);
+      doubted_motion[outcome.to] +=
+          Eigen::Vector2d(outcome.scale, 1).cwiseProduct(doubted_motion[outcome.from]);
+      doubted_motion.erase(outcome.from);
+    }
+    const bool jumped = (outcome.kind == Kind::loop && segment_of_query == segment) ||
+                        (outcome.kind == Kind::merge && outcome.from == segment);
+    if (jumped) {
+      if (outcome.kind == Kind::merge) enter_segment(outcome.to);
       median_depth *= outcome.scale;
+      recent_motion.x() *= outcome.scale;
+      residuals.clear();
+      odd_frames = 0;
       ++resets;
     }
-    if (outcome.kind != Kind::refused && mode == Mode::tracking) adjust_newest();
+    if (changed && mode == Mode::tracking) adjust_newest();
   } else if (place.ok && lost != waiting.end()) {
     const FrameTracks tracks = *lost;
-    if (relocalize(tracks, place)) {
+    changed = relocalize(tracks, place);
+    if (changed) {
       ++places.relocalizations;
       ++resets;
     }
@@ -216,6 +234,7 @@ void Backend::Impl::recognise(const PlaceMatch& match) {
     log().debug("frame {}: the place is refused: {}", match.query.value, refusal);
   }
   lap("backend/place");
+  if (!changed) return;
   publish_map();
   publish_motion(newest_observations);
 }
@@ -248,7 +267,8 @@ void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {
   lost_frames = 0;
   residuals.clear();
   odd_frames = 0;
-  doubted_motion.setZero();
+  doubted_motion[segment].setZero();
+  if (segment > 0) ++resets;
   learn_focal();
   publish_map();
 
@@ -386,8 +406,8 @@ void Backend::Impl::doubt_motion(bool odd, const Pose& T_world_camera) {
   const Eigen::Vector2d moved(step.head<3>().norm(), step.tail<3>().norm());
   recent_motion = odd_frames == 0 ? moved : Eigen::Vector2d(recent_motion + moved);
   ++odd_frames;
-  if (odd_frames == kLeast) doubted_motion += recent_motion;
-  if (odd_frames > kLeast) doubted_motion += moved;
+  if (odd_frames == kLeast) doubted_motion[segment] += recent_motion;
+  if (odd_frames > kLeast) doubted_motion[segment] += moved;
 }
 
 /// That of the newest keyframe, carried over to a frame, and what its own resection adds.
@@ -460,8 +480,9 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   // What makes residuals larger than they were is no noise: all observations are worth one.
   doubt_motion(odd, r.T_world_camera);
   Matrix6d doubt = odd ? Matrix6d(r.inliers * r.covariance) : Matrix6d::Zero();
-  doubt.diagonal().head<3>().array() += doubted_motion.x() * doubted_motion.x();
-  doubt.diagonal().tail<3>().array() += doubted_motion.y() * doubted_motion.y();
+  const Eigen::Vector2d& doubted = doubted_motion[segment];
+  doubt.diagonal().head<3>().array() += doubted.x() * doubted.x();
+  doubt.diagonal().tail<3>().array() += doubted.y() * doubted.y();
   if (tracks.keyframe) {
     insert_keyframe(tracks, outliers, r);
     event->T_world_camera = map.keyframes.back().T_world_camera;
@@ -564,7 +585,10 @@ void Backend::Impl::adjust_newest() {
 }
 
 void Backend::Impl::learn_focal() {
-  if (freedom == IntrinsicsFreedom::all) focal.clear();  // the estimate was of another one
+  // The estimates were made with another camera.
+  if (freedom == IntrinsicsFreedom::all || map.camera.distortion != focal_camera.distortion)
+    focal.clear();
+  focal_camera = map.camera;
   focal.add(map.keyframes.back().focal, std::min(options.window_keyframes, segment_keyframes()));
 }
 
@@ -587,7 +611,12 @@ bool Backend::Impl::relocalize(const FrameTracks& tracks, const PlacePose& place
     const auto it = map.tracks.find(o.track);
     if (it != map.tracks.end() && it->second.landmark) {
       const auto pixel = map.camera.project(T_camera_world * it->second.p_world);
-      if (!pixel || (*pixel - o.pixel).norm() > options.max_error_px) continue;
+      if (!pixel || (*pixel - o.pixel).norm() > options.max_error_px) {
+        it->second.dead = true;  // what the track follows is not its landmark any more
+        continue;
+      }
+    } else if (it != map.tracks.end()) {  // seen since the camera was lost, from nobody knows where
+      while (!it->second.views.empty()) map.drop_view(it->second, it->second.views.size() - 1);
     }
     kept.push_back(o);
   }
@@ -644,7 +673,7 @@ void Backend::Impl::publish_motion(std::span<const TrackObservation> observation
 
 /// So that every segment whose positions are known fits them by one similarity.
 void Backend::Impl::straighten_segments() {
-  for (int s = 0; s <= segment; ++s) {
+  for (int s = 0; s <= newest_segment; ++s) {
     if (positions.place_whole(map, s)) continue;
     const std::vector<Sim3> moves = positions.straighten(map, s);
     for (FrameRecord& record : frames) {
@@ -684,7 +713,7 @@ void Backend::finish() {
   b.straighten_segments();
   if (!b.options.final_adjustment) return b.publish_map();
   adjust_all(b.map, b.options, b.threads, b.final_intrinsics_policy());
-  for (int s = 0; s <= b.segment; ++s) b.positions.place_whole(b.map, s);
+  for (int s = 0; s <= b.newest_segment; ++s) b.positions.place_whole(b.map, s);
   b.publish_map();
 }
 
@@ -692,7 +721,7 @@ void Backend::add_positions(std::span<const PositionFix> fixes) { impl_->positio
 
 std::vector<MapPlacement> Backend::placements() const {
   std::vector<MapPlacement> out;
-  for (int s = 0; s <= impl_->segment; ++s) {
+  for (int s = 0; s <= impl_->newest_segment; ++s) {
     const auto placement = impl_->positions.placement(s);
     out.push_back(placement ? *placement : MapPlacement{});
     if (!placement) out.back().reason = "no positions";

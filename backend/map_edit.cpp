@@ -89,6 +89,7 @@ bool fuse_tracks(MapData& map, TrackId living, TrackId old, FusedTracks& fused) 
   track.max_ray_angle_rad = std::max(track.max_ray_angle_rad, from->second.max_ray_angle_rad);
   track.strikes = track.failures = 0;
   map.tracks.erase(from);
+  fused.erase(living);  // it lives: no chain may lead round in a circle
   fused[old] = living;
   return true;
 }
@@ -156,6 +157,9 @@ void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
   for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
     MapKeyframe& keyframe = map.keyframes[k];
     const Sim3& S = T_world_keyframe[k];
+    if (S.scale() == 1 && S.translation() == keyframe.T_world_camera.translation() &&
+        S.rotation().coeffs() == keyframe.T_world_camera.rotation().coeffs())
+      continue;
     keyframe.T_world_camera = {S.rotation(), S.translation()};
     Vector7d unit = Vector7d::Ones();
     unit.head<3>() *= S.scale();
@@ -202,9 +206,16 @@ bool bend_loop(MapData& map, std::vector<FrameRecord>& frames, int query, int re
   for (std::size_t i = 1; i < nodes.size(); ++i) {
     const Sim3& T = graph.T_world_node[i];
     std::vector<int> others = neighbours(map, nodes[i], kNeighbours);
-    std::erase_if(others, [&](int k) { return k == nodes[i - 1] || !node_of.contains(k); });
-    others.push_back(nodes[i - 1]);
+    std::erase_if(others, [&](int k) { return !node_of.contains(k); });
     for (const int k : others) add(k, nodes[i], T);
+    if (std::find(others.begin(), others.end(), nodes[i - 1]) != others.end()) continue;
+    // Between them the camera was lost: only so that the graph hangs together.
+    constexpr double kLoose = 100;
+    add(nodes[i - 1], nodes[i], T);
+    PoseGraphEdge& loose = graph.edges.back();
+    loose.sigma_translation *= kLoose;
+    loose.sigma_rotation_rad *= kLoose;
+    loose.sigma_log_scale *= kLoose;
   }
   add(reference, query, T_world_query);
   if (!optimise(graph, kIterations, threads).ok) return false;

@@ -169,11 +169,18 @@ void MapPositions::publish(MapData& map, int segment, const std::vector<std::siz
                            const GeoAlignment& a) {
   auto placement = std::make_shared<MapPlacement>();
   placement->origin = frame_->origin();
+  bool empty = true;
+  for (MapKeyframe& keyframe : map.keyframes) {
+    if (keyframe.segment != segment) continue;
+    keyframe.position.reset();
+    empty = false;
+  }
+  if (empty) {  // it became part of another one
+    placements_.erase(segment);
+    return;
+  }
   if (!a.ok()) {
     placement->reason = a.reason;
-    for (MapKeyframe& keyframe : map.keyframes) {
-      if (keyframe.segment == segment) keyframe.position.reset();
-    }
   } else {
     placement->scale = MapScale::metric;
     placement->T_enu_map = a.T_enu_map;
@@ -185,7 +192,6 @@ void MapPositions::publish(MapData& map, int segment, const std::vector<std::siz
       Match& match = matches_[placed[i]];
       MapKeyframe& keyframe = map.keyframes[placed[i]];
       match.inlier = a.inlier[i] != 0;
-      keyframe.position.reset();
       if (!match.inlier) continue;
       const Eigen::LLT<Eigen::Matrix3d> llt(match.fix->covariance_m2);
       keyframe.position =

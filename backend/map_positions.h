@@ -41,6 +41,8 @@ class MapPositions {
   /// with positions, not more.
   /// @return the move of every keyframe of the map.
   [[nodiscard]] std::vector<Sim3> straighten(MapData& map, int segment);
+  /// A segment became part of another one.
+  void forget_segment(int segment) { placements_.erase(segment); }
   /// Null if no position ever came.
   [[nodiscard]] std::shared_ptr<const MapPlacement> placement(int segment) const;
 

@@ -64,7 +64,7 @@ PlaceOutcome merge(MapData& map, std::vector<FrameRecord>& frames, int query,
   outcome.kind = PlaceOutcome::Kind::merge;
   outcome.from = std::max(place.segment, keyframe.segment);
   outcome.to = std::min(place.segment, keyframe.segment);
-  outcome.scale = query_moves ? scale : 1;
+  outcome.scale = query_moves ? scale : 1 / scale;
   const int anchor = query_moves ? query : place.reference;
   const int other = query_moves ? place.reference : query;
   Drift drift = map.keyframes[static_cast<std::size_t>(other)].drift;

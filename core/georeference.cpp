@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <map>
+#include <set>
 
 #include "corvid/run_result.h"
 
@@ -46,9 +47,9 @@ std::shared_ptr<const MapSnapshot> placed(const MapSnapshot& map, const std::vec
 bool place_on_earth(RunResult& result) {
   if (!result.map || result.enu_origin) return false;
   std::map<int, int> keyframes;  // of metric segments
-  int segments = static_cast<int>(result.placements.size());
+  std::set<int> all;
   for (const auto& keyframe : result.map->keyframes) {
-    segments = std::max(segments, keyframe->segment + 1);
+    all.insert(keyframe->segment);
     const auto s = static_cast<std::size_t>(keyframe->segment);
     if (s < result.placements.size() && result.placements[s].scale == MapScale::metric)
       ++keyframes[keyframe->segment];
@@ -58,17 +59,17 @@ bool place_on_earth(RunResult& result) {
       std::max_element(keyframes.begin(), keyframes.end(),
                        [](const auto& a, const auto& b) { return a.second < b.second; });
   const Sim3& T_main = result.placements[static_cast<std::size_t>(main->first)].T_enu_map;
-  std::vector<Sim3> T(static_cast<std::size_t>(segments), T_main);
+  std::vector<Sim3> T(static_cast<std::size_t>(*all.rbegin() + 1), T_main);
   for (const auto& [segment, count] : keyframes) {
     const auto s = static_cast<std::size_t>(segment);
     T[s] = result.placements[s].T_enu_map;
   }
-  if (static_cast<int>(keyframes.size()) < segments) {
+  if (keyframes.size() < all.size()) {
     result.notes.push_back(fmt::format(
         "{} of {} map segments have no scale of their own: they were placed like segment {}.",
-        segments - static_cast<int>(keyframes.size()), segments, main->first));
+        all.size() - keyframes.size(), all.size(), main->first));
   }
-  if (segments > 1 && !result.mesh.empty()) {
+  if (all.size() > 1 && !result.mesh.empty()) {
     result.notes.push_back(
         fmt::format("The mesh of all segments was placed like segment {}.", main->first));
   }

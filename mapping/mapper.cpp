@@ -334,6 +334,7 @@ struct Mapper::Impl {
       if (!entry.depth) continue;
       looks.piece();
       const Keyframe* keyframe = find(map, id);
+      if (keyframe) entry.segment = keyframe->segment;  // segments that meet become one
       const bool wanted = keyframe && keyframe->segment == segment;
       double scale = wanted ? scale_since(entry, map, *keyframe) : 1;
       if (std::abs(scale - 1) < kMinRescale) scale = 1;
