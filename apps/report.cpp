@@ -11,10 +11,12 @@
 namespace corvid {
 namespace {
 
+bool has_truth(const ReportFacts& facts) {
+  return facts.input.trajectory_errors && facts.input.trajectory_errors->problem.empty();
+}
+
 std::string length_unit(const ReportFacts& facts) {
-  return facts.input.trajectory_errors && facts.input.trajectory_errors->problem.empty()
-             ? "m"
-             : unit_of(facts.input.result);
+  return has_truth(facts) ? "m" : unit_of(facts.input.result);
 }
 
 std::string title_of(const RunResult& result) {
@@ -45,7 +47,7 @@ std::string tiles(const ReportFacts& facts) {
                      fmt::format("90 % within {} m", format_number(e->accuracy90_m)));
   }
   const double scale =
-      length_unit(facts) == "m" ? facts.input.trajectory_errors->T_truth_estimate.scale() : 1;
+      has_truth(facts) ? facts.input.trajectory_errors->T_truth_estimate.scale() : 1;
   out +=
       html_tile("Path", format_number(n.path_length * scale), length_unit(facts),
                 fmt::format("{} poses in {} s", format_count(n.poses), format_number(n.capture_s)));

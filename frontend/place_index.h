@@ -30,7 +30,7 @@ struct RankedPlace {
   double similarity = 0;
 };
 
-/// Descriptors of keyframes, ranked by similarity. Linear in their number: some 10 us each.
+/// Descriptors of keyframes, ranked by similarity. Linear in their number: some 20 us each.
 class PlaceIndex {
  public:
   [[nodiscard]] std::size_t size() const { return descriptors_.size(); }

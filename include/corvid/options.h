@@ -73,7 +73,8 @@ struct BackendOptions {
   double max_position_gap_s = 2;  ///< positions are interpolated over gaps up to this long [s]
   bool final_adjustment = true;   ///< adjust everything once more at the end of the run
   /// Intrinsics that are estimated, too: auto, fixed, distortion (k1, k2) or all (focal length, k1,
-  /// k2). auto: all without a calibration, distortion where the calibration has none, else fixed.
+  /// k2; at the end the whole lens). auto: all without a calibration, distortion where the
+  /// calibration has none, else fixed.
   std::string intrinsics = "auto";
   double loop_max_drift = 0.1;  ///< a loop that moves the camera by more is refused; share of the
                                 ///< way flown since the place was seen

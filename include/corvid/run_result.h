@@ -37,7 +37,7 @@ struct RunResult {
   /// of this place. Otherwise they are in map units, in the frame of the first keyframe.
   std::optional<GeodeticPosition> enu_origin;
   TriangleMesh mesh;
-  double voxel_size = 0;  ///< [map units]
+  double voxel_size = 0;  ///< [map units; m after place_on_earth()]
   std::vector<StageMetrics> stages;
   double wall_s = 0;
   std::uint64_t peak_memory_bytes = 0;

@@ -152,6 +152,16 @@ TEST(Report, WithoutTruth) {
   EXPECT_NE(html.find("The source has no true trajectory."), std::string::npos);
 }
 
+TEST(Report, OnEarthWithoutTruth) {
+  RunResult run = made_up_run(60);
+  const std::string before = report_html(facts_of(input_of(run, false)));
+  run.enu_origin = GeodeticPosition{47.4, 8.5, 500};
+  const std::string html = report_html(facts_of(input_of(run, false)));
+  expect_sound(html);
+  EXPECT_NE(before.find("map units"), std::string::npos);
+  EXPECT_EQ(html.find("map units"), std::string::npos);
+}
+
 TEST(Report, EmptyRun) {
   const RunResult run;
   const std::string html = report_html(facts_of(input_of(run, true)));
