@@ -42,28 +42,44 @@ std::optional<Flown> fly(const std::string& name) {
   const auto flown = fly(name);  \
   if (!flown) GTEST_SKIP() << "the real image sets (../shared/data) are absent: " << (name)
 
-double ate_m(const Flown& flown) {
+struct Accuracy {
+  double ate_m = 0, orientation_deg = 0, share_of_length = 0;
+};
+
+Accuracy accuracy_of(const Flown& flown) {
   const TrajectoryErrors errors = evaluate(flown.result.trajectory, flown.truth);
   EXPECT_EQ(errors.problem, "");
   std::cout << "  ATE " << errors.position_m.rmse << " m over " << errors.path_length_m << " m, "
-            << flown.numbers.poses << " poses, " << flown.numbers.untracked_after_start
-            << " untracked after the start, " << flown.numbers.segments << " segments\n";
+            << errors.orientation_deg.rmse << " degrees, " << flown.numbers.poses << " poses, "
+            << flown.numbers.untracked_after_start << " untracked after the start, "
+            << flown.numbers.segments << " segments\n";
   EXPECT_EQ(errors.matched, flown.result.trajectory.size());
-  return errors.position_m.rmse;
+  return {errors.position_m.rmse, errors.orientation_deg.rmse,
+          errors.position_m.rmse / errors.path_length_m};
 }
 
 TEST(Accuracy, Euroc) {
   FLY_OR_SKIP(flown, "euroc_mh05_a");
-  EXPECT_LE(ate_m(*flown), 0.10);
+  const Accuracy a = accuracy_of(*flown);
+  EXPECT_LE(a.ate_m, 0.018);
+  EXPECT_LE(a.orientation_deg, 0.5);
   EXPECT_EQ(flown->numbers.untracked_after_start, 0U);
   EXPECT_GE(flown->numbers.poses, 285U) << "it starts within the first frames";
 }
 
 TEST(Accuracy, Kitti) {
   FLY_OR_SKIP(flown, "kitti07");
-  EXPECT_LE(ate_m(*flown), 1.5);
+  const Accuracy a = accuracy_of(*flown);
+  EXPECT_LE(a.ate_m, 0.2);
+  EXPECT_LE(a.orientation_deg, 0.5);
   EXPECT_EQ(flown->numbers.untracked_after_start, 0U);
   EXPECT_GE(flown->numbers.poses, 150U);
+}
+
+TEST(Accuracy, APlane) {
+  FLY_OR_SKIP(flown, "vamr1_checker");
+  EXPECT_LE(accuracy_of(*flown).share_of_length, 0.005);
+  EXPECT_EQ(flown->numbers.untracked_after_start, 0U);
 }
 
 TEST(Accuracy, AerialPhotographsWithNothingButTheirExif) {
