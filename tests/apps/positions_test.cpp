@@ -22,13 +22,13 @@ using ::testing::HasSubstr;
 using PositionsTest = ProgramTest;
 
 constexpr const char* kFlight =
-    "synthetic:width=320,height=240,duration=5,rate=20,seed=2,path=orbit,speed=12";
+    "synthetic:width=320,height=240,duration=8,rate=20,seed=2,path=orbit,speed=12";
 
 SyntheticFlight flight() {
   FlightOptions options;
   options.width_px = 320;
   options.height_px = 240;
-  options.duration_s = 5;
+  options.duration_s = 8;
   options.seed = 2;
   options.path = FlightPath::orbit;
   options.speed_mps = 12;
@@ -67,7 +67,7 @@ TEST_F(PositionsTest, PutTheFlightOnEarth) {
   const json run = json::parse(read(folder_ / "run/run.json"));
   EXPECT_EQ(run["world"]["frame"], "enu");
   EXPECT_EQ(run["world"]["segments"][0]["scale"], "metric");
-  EXPECT_GT(run["world"]["segments"][0]["inliers"], 5);
+  EXPECT_GT(run["world"]["segments"][0]["inliers"], 10);
   const json& o = run["world"]["origin"];
   const LocalFrame frame({o["latitude_deg"], o["longitude_deg"], o["altitude_m"]});
 

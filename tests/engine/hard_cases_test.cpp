@@ -284,8 +284,7 @@ TEST(HardCases, AThirdOfTheImageMoves) {
   for (const std::size_t from : {0U, 40U}) {
     Disturbance patch;
     patch.patch_from = from;
-    // Falls short of the 6 sigmas of the other cases: single poses reach 6.1, degraded ones 6.8.
-    expect_honest(fly(80, patch), 8);
+    expect_honest(fly(80, patch));
   }
 }
 
