@@ -52,7 +52,7 @@ struct MatchingOptions {
   double peak_quality = 0.85;      ///< Q_m (thesis 4.3.1)
   double min_score = 0.7;          ///< NCC score below which nothing is a match
   int refine_template_px = 15;     ///< template side of the last measurement (known warps)
-  double refine_min_score = 0.84;  ///< NCC score that a match needs in it
+  double refine_min_score = 0.85;  ///< NCC score that a match needs in it
   double corner_score_ratio = 5;   ///< tau_c: weak-corner removal (thesis 4.3.2)
   int window_frames = 4;           ///< R_f: frames of the sliding window (thesis 4.1)
   DisambiguationOptions disambiguation;

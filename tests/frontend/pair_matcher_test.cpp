@@ -247,7 +247,7 @@ TEST(PairMatcher, FewWrongMatchesOnRepeatedWindows) {
   }
   EXPECT_GT(errors.px.size(), 2000U);
   EXPECT_LT(errors.share_above(1), 0.02);
-  EXPECT_LT(errors.quantile(0.5), 0.12);
+  EXPECT_LT(errors.quantile(0.5), 0.1);
 }
 
 TEST(PairMatcher, SurvivesExposureStepsAndVignetting) {
