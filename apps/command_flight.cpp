@@ -21,6 +21,7 @@
 #include "core/clock.h"
 #include "core/log.h"
 #include "corvid/engine.h"
+#include "io/archive_file.h"
 #include "replay/player.h"
 #include "replay/synthetic_flight.h"
 
@@ -292,6 +293,9 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
                 {"out", fs::absolute(plan.out).lexically_normal().string()}});
   }
 
+  // On the disk that the run goes to anyway.
+  auto archive = ArchiveFile::create(fs::absolute(plan.out).lexically_normal().parent_path());
+  if (!archive) log().warn("pictures stay in memory: {}", archive.error().to_string());
   PositionFeed positions;
   for (const PositionFix& fix : plan.positions) {
     if (auto pushed = positions.push(fix); !pushed) log().warn("{}", pushed.error().to_string());
@@ -304,7 +308,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
       progress.emplace(player.info().frames, clock);
       listeners.add(&*progress);
     }
-    return (*engine)->run(player, {&listeners, &listeners}, signals.token(), &positions);
+    return (*engine)->run(player, {&listeners, &listeners, archive.value_or(nullptr)},
+                          signals.token(), &positions);
   }();
   if (!result) return tl::unexpected(result.error());
   for (const std::string& message : result->counts.messages) log().warn("skipped: {}", message);

@@ -44,7 +44,7 @@ const Keyframe* find_keyframe(const RunResult& result, KeyframeId id) {
 
 /// The keyframe's photograph, undistorted as renders and depth maps are.
 std::string photo_of(const Keyframe& keyframe, const Undistorter& undistort) {
-  const Frame* frame = keyframe.frame.get();
+  const FramePtr frame = keyframe.frame ? keyframe.frame->load() : nullptr;
   const Camera& camera = undistort.camera();
   if (!frame || frame->grey.width() != camera.width_px ||
       frame->grey.height() != camera.height_px) {

@@ -137,7 +137,7 @@ ColourImage grey_as_colour(const GreyImage& image) {
   return out;
 }
 
-std::optional<PlotPicture> picture_of_landmarks(const std::vector<Landmark>& landmarks,
+std::optional<PlotPicture> picture_of_landmarks(const Landmarks& landmarks,
                                                 const std::vector<Eigen::Vector2d>& path,
                                                 const ViewAxes& axes) {
   std::vector<double> x, y;

@@ -32,7 +32,7 @@ struct DepthPicture {
 /// The landmarks from above, in their own colours on a dark ground: the middle 98 % along each axis
 /// and all camera positions. Nothing for an empty map.
 [[nodiscard]] std::optional<PlotPicture> picture_of_landmarks(
-    const std::vector<Landmark>& landmarks, const std::vector<Eigen::Vector2d>& path,
+    const Landmarks& landmarks, const std::vector<Eigen::Vector2d>& path,
     const ViewAxes& axes);
 
 }  // namespace corvid

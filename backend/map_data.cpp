@@ -19,6 +19,28 @@ Rgb8 colour_at(const Frame& frame, const Eigen::Vector2d& pixel) {
   return {};
 }
 
+constexpr int kChunkBits = 10;  ///< of a landmark's id, below its chunk
+
+/// Makes the chunks that are stale anew.
+void publish_landmarks(MapData& map) {
+  for (const std::uint32_t key : std::exchange(map.stale_landmarks, {})) {
+    std::vector<Landmark> landmarks;
+    const auto end =
+        map.tracks.upper_bound(TrackId((key << kChunkBits) | ((1U << kChunkBits) - 1)));
+    for (auto it = map.tracks.lower_bound(TrackId(key << kChunkBits)); it != end; ++it) {
+      const MapTrack& track = it->second;
+      if (!track.landmark) continue;
+      landmarks.push_back({LandmarkId(it->first.value), track.p_world, track.colour,
+                           static_cast<int>(track.views.size()), track.max_ray_angle_rad});
+    }
+    if (landmarks.empty()) {
+      map.published_landmarks.erase(key);
+    } else {
+      map.published_landmarks[key] = std::make_shared<const std::vector<Landmark>>(landmarks);
+    }
+  }
+}
+
 }  // namespace
 
 double floored_sigma_px(const TrackObservation& observation) {
@@ -37,7 +59,7 @@ int MapData::add_keyframe(const FramePtr& frame, int segment, const Pose& T_worl
                           const std::vector<TrackObservation>& observations) {
   const int k = static_cast<int>(keyframes.size());
   MapKeyframe keyframe;
-  keyframe.frame = frame;
+  keyframe.frame = std::make_shared<const StoredFrame>(frame);
   keyframe.segment = segment;
   keyframe.T_world_camera = T_world_camera;
   keyframe.tracks.reserve(observations.size());
@@ -62,7 +84,7 @@ void MapData::make_landmark(MapTrack& track, const Triangulation& point) {
   track.strikes = 0;
   const KeyframeView& newest = track.views.back();
   track.colour =
-      colour_at(*keyframes[static_cast<std::size_t>(newest.keyframe)].frame, newest.pixel);
+      colour_at(*keyframes[static_cast<std::size_t>(newest.keyframe)].frame->load(), newest.pixel);
   for (const KeyframeView& v : track.views) {
     keyframes[static_cast<std::size_t>(v.keyframe)].published = nullptr;
   }
@@ -119,6 +141,11 @@ void MapData::forget_tracks(int k) {
   }
 }
 
+void MapData::erase_track(TrackId id) {
+  tracks.erase(id);
+  stale_landmarks.insert(id.value >> kChunkBits);
+}
+
 void MapData::set_camera(const Camera& refined) {
   camera = refined;
   for (auto& [id, track] : tracks) {
@@ -142,6 +169,7 @@ std::shared_ptr<const MapSnapshot> MapData::snapshot(std::uint64_t version) {
       copy->frame = keyframe.frame;
       copy->T_world_camera = keyframe.T_world_camera;
       for (const TrackId id : keyframe.tracks) {
+        stale_landmarks.insert(id.value >> kChunkBits);
         const auto it = tracks.find(id);
         if (it == tracks.end() || !it->second.landmark) continue;
         const auto& views = it->second.views;
@@ -155,11 +183,11 @@ std::shared_ptr<const MapSnapshot> MapData::snapshot(std::uint64_t version) {
     }
     out->keyframes.push_back(keyframe.published);
   }
-  for (const auto& [id, track] : tracks) {
-    if (!track.landmark) continue;
-    out->landmarks.push_back({LandmarkId(id.value), track.p_world, track.colour,
-                              static_cast<int>(track.views.size()), track.max_ray_angle_rad});
-  }
+  publish_landmarks(*this);
+  std::vector<Landmarks::Chunk> chunks;
+  chunks.reserve(published_landmarks.size());
+  for (const auto& [key, chunk] : published_landmarks) chunks.push_back(chunk);
+  out->landmarks = Landmarks(std::move(chunks));
   return out;
 }
 

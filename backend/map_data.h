@@ -5,6 +5,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <vector>
 
 #include "backend/drift.h"
@@ -41,7 +42,7 @@ struct PositionPrior {
 };
 
 struct MapKeyframe {
-  FramePtr frame;
+  StoredFramePtr frame;
   int segment = 0;
   Pose T_world_camera;
   Drift drift;  ///< since the segment's start; not known of keyframes before the first window
@@ -56,6 +57,10 @@ struct MapData {
   Camera camera;
   std::vector<MapKeyframe> keyframes;
   std::map<TrackId, MapTrack> tracks;
+  /// Of the last snapshot, by the upper bits of the id. What a keyframe sees that is to be
+  /// published anew is made anew, and what is named here.
+  std::map<std::uint32_t, Landmarks::Chunk> published_landmarks;
+  std::set<std::uint32_t> stale_landmarks;
 
   /// Appends a keyframe; usable observations become views of their tracks. Returns its position.
   int add_keyframe(const FramePtr& frame, int segment, const Pose& T_world_camera,
@@ -75,7 +80,10 @@ struct MapData {
   [[nodiscard]] std::vector<RayView> ray_views(const MapTrack& track) const;
   /// Replaces the intrinsics; rays of the views are computed anew.
   void set_camera(const Camera& refined);
-  /// An immutable copy; keyframes that did not change are shared with the last copy.
+  /// Takes a track out of the map; no keyframe may name it any more.
+  void erase_track(TrackId id);
+  /// An immutable copy; what did not change is shared with the last copy. A landmark has changed if
+  /// a keyframe that names it has (`published` is null), or if it was erased.
   [[nodiscard]] std::shared_ptr<const MapSnapshot> snapshot(std::uint64_t version);
   /// Appends another map, whose tracks replace those of the same id here.
   void append(MapData&& other);

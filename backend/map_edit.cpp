@@ -88,7 +88,7 @@ bool fuse_tracks(MapData& map, TrackId living, TrackId old, FusedTracks& fused) 
   track.colour = from->second.colour;
   track.max_ray_angle_rad = std::max(track.max_ray_angle_rad, from->second.max_ray_angle_rad);
   track.strikes = track.failures = 0;
-  map.tracks.erase(from);
+  map.erase_track(old);
   fused.erase(living);  // it lives: no chain may lead round in a circle
   fused[old] = living;
   return true;

@@ -53,7 +53,7 @@ void MapPositions::add(std::span<const PositionFix> fixes) {
 
 // Between two fixes the path is a straight line; what an accelerated camera deviates from it,
 // a/2 (t - t0) (t1 - t), is noise. Keyframes that share a fix share its weight.
-std::optional<MapPositions::Fix> MapPositions::at(const Frame& frame, double since_last_s) const {
+std::optional<MapPositions::Fix> MapPositions::at(const StoredFrame& frame, double since_last_s) const {
   if (const auto named = by_name_.find(frame.name); named != by_name_.end() && !frame.name.empty())
     return named->second;
   const auto after =
@@ -81,7 +81,7 @@ void MapPositions::match(const MapData& map) {
   matches_.resize(map.keyframes.size());
   bool still_settled = true;
   for (std::size_t k = settled_; k < map.keyframes.size(); ++k) {
-    const Frame& frame = *map.keyframes[k].frame;
+    const StoredFrame& frame = *map.keyframes[k].frame;
     newest_frame_ns_ = std::max(newest_frame_ns_, frame.time_ns);
     const double since_last_s =
         k > 0 ? std::abs(difference_s(frame.time_ns, map.keyframes[k - 1].frame->time_ns)) : 60.0;

@@ -59,7 +59,7 @@ class MapPositions {
   };
 
   void match(const MapData& map);
-  [[nodiscard]] std::optional<Fix> at(const Frame& frame, double since_last_s) const;
+  [[nodiscard]] std::optional<Fix> at(const StoredFrame& frame, double since_last_s) const;
   [[nodiscard]] std::vector<std::size_t> placed_keyframes(const MapData& map, int segment) const;
   [[nodiscard]] std::vector<PlacedPoint> points_seen_from(
       const MapData& map, const std::vector<std::size_t>& placed,

@@ -3,12 +3,15 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <numeric>
 #include <set>
+#include <span>
 #include <utility>
 #include <vector>
 
 #include "backend/bundle.h"
 #include "core/check.h"
+#include "core/log.h"
 
 namespace corvid {
 namespace {
@@ -259,9 +262,72 @@ bool adjust_window(MapData& map, int first, int count, const BackendOptions& opt
   return ok;
 }
 
+namespace {
+
+std::size_t count_views(const MapData& map) {
+  std::size_t views = 0;
+  for (const auto& [id, track] : map.tracks) views += track.landmark ? track.views.size() : 0;
+  return views;
+}
+
+/// Adjusts a part of one segment; what it shares landmarks with stays. The segment's first keyframe
+/// stays, too, unless positions hold the segment.
+void adjust_piece(MapData& map, std::span<const int> keyframes, int first, bool placed,
+                  const BackendOptions& options, const BundleSettings& settings) {
+  std::vector<std::uint8_t> moving(map.keyframes.size(), 0);
+  for (const int k : keyframes) moving[static_cast<std::size_t>(k)] = k == first && !placed ? 0 : 1;
+  Part part = collect(map, moving, 0);
+  std::vector<int> poses(part.keyframes.size());
+  std::iota(poses.begin(), poses.end(), 0);
+  const auto fixed = std::count(part.problem.fixed.begin(), part.problem.fixed.end(), 1);
+  if (fixed < 2 && !placed) {
+    const std::vector<int> gauge = scale_pair(part, std::move(poses));
+    if (gauge.empty()) return;
+    if (fixed == 0) part.problem.fixed[static_cast<std::size_t>(gauge[0])] = 1;
+    part.problem.hold_distance.emplace_back(gauge[0], gauge[1]);
+  }
+  if (adjust(part.problem, settings).ok) write_back(map, part, false);
+  drop_outliers(map, part, options);
+}
+
+/// Every segment piece by piece, each twice as long as the step to the next one.
+void adjust_in_pieces(MapData& map, const BackendOptions& options, const BundleSettings& settings) {
+  const auto most = static_cast<std::size_t>(options.adjustment_views);
+  std::map<int, std::vector<int>> segments;
+  std::set<int> placed;
+  for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
+    segments[map.keyframes[k].segment].push_back(static_cast<int>(k));
+    if (map.keyframes[k].position) placed.insert(map.keyframes[k].segment);
+  }
+  std::size_t done = 0;
+  for (const auto& [segment, keyframes] : segments) {
+    std::size_t begin = 0, end = 0, half = 0;
+    while (end < keyframes.size()) {
+      std::size_t views = 0;
+      for (end = begin; end < keyframes.size() && views < most; ++end) {
+        views += map.keyframes[static_cast<std::size_t>(keyframes[end])].tracks.size();
+        if (2 * views < most) half = end + 1;
+      }
+      adjust_piece(map, std::span(keyframes).subspan(begin, end - begin), keyframes.front(),
+                   placed.contains(segment), options, settings);
+      log().info("adjustment: {} of {} keyframes", done + end, map.keyframes.size());
+      begin = std::max(begin + 1, half);
+    }
+    done += keyframes.size();
+  }
+}
+
+}  // namespace
+
 bool adjust_all(MapData& map, const BackendOptions& options, int threads,
                 const IntrinsicsPolicy& intrinsics) {
   constexpr int kRounds = 2, kIterations = 30;
+  if (count_views(map) > static_cast<std::size_t>(options.adjustment_views)) {
+    BundleSettings settings = settings_for(options, threads, intrinsics);
+    settings.freedom = IntrinsicsFreedom::fixed;
+    adjust_in_pieces(map, options, settings);
+    return true;
+  }
   for (int round = 0; round < kRounds; ++round) {
     Part part = collect(map, std::vector<std::uint8_t>(map.keyframes.size(), 1), 0);
     if (part.keyframes.size() < 2) return false;

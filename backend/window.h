@@ -26,7 +26,10 @@ struct IntrinsicsPolicy {
 bool adjust_window(MapData& map, int first, int count, const BackendOptions& options, int threads,
                    const IntrinsicsPolicy& intrinsics);
 
-/// Adjusts every keyframe and landmark of all segments, twice, with outliers dropped in between.
+/// Adjusts every keyframe and landmark of all segments, twice, with outliers dropped in between. A
+/// map of more than options.adjustment_views is adjusted in overlapping pieces, so that memory
+/// stays bounded; then the intrinsics stay as they are.
+/// @return whether anything was adjusted.
 bool adjust_all(MapData& map, const BackendOptions& options, int threads,
                 const IntrinsicsPolicy& intrinsics);
 

@@ -35,10 +35,12 @@ std::shared_ptr<const MapSnapshot> placed(const MapSnapshot& map, const std::vec
     for (const Observation& o : copy->observations) segment_of[o.landmark] = copy->segment;
     keyframe = std::move(copy);
   }
-  for (Landmark& l : out->landmarks) {
+  std::vector<Landmark> landmarks(map.landmarks.begin(), map.landmarks.end());
+  for (Landmark& l : landmarks) {
     const auto it = segment_of.find(l.id);
     l.p_world = T[it == segment_of.end() ? 0 : static_cast<std::size_t>(it->second)] * l.p_world;
   }
+  out->landmarks = Landmarks(std::move(landmarks));
   return out;
 }
 

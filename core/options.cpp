@@ -120,6 +120,7 @@ std::vector<std::string> BackendOptions::validate() const {
   p.at_least("max_iterations", max_iterations, 1);
   p.in("max_scale_sigma", max_scale_sigma, 1e-6, 1.0);
   p.in("max_position_gap_s", max_position_gap_s, 0.0, 60.0);
+  p.at_least("adjustment_views", adjustment_views, 1000);
   p.at_least("min_inliers", min_inliers, 4);  // fewer do not fix a pose
   p.in("loop_max_drift", loop_max_drift, 0.0, 1.0);
   if (intrinsics != "auto" && intrinsics != "fixed" && intrinsics != "distortion" &&
@@ -171,6 +172,7 @@ std::vector<std::string> Options::validate() const {
     p.add("device", fmt::format("must be auto, cpu, gpu or a device's index, not \"{}\"", device));
   }
   p.in("threads", threads, 0, 1024);
+  p.in("keyframe_images_mb", keyframe_images_mb, 1, 1 << 20);
   append(p.take());
   return all;
 }

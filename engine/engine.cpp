@@ -14,6 +14,7 @@
 #include "core/log.h"
 #include "core/stopwatch.h"
 #include "engine/gate.h"
+#include "engine/image_store.h"
 #include "engine/in_order.h"
 #include "engine/latest.h"
 #include "engine/metrics.h"
@@ -112,6 +113,7 @@ struct Engine::Impl {
     Latest<MapSnapshot> map;
     Latest<PlaceQuery> place_query;  // the newest counts
     PlaceMailbox recognised;
+    ImageStore images;
     RunResult result;
     double& held_ms;  // that mapping has waited at the gate; of the thread that maps
 
@@ -225,6 +227,7 @@ std::optional<Error> Engine::Impl::Run::run_inline(const std::stop_token& stop) 
     const TimedTracks tracks{track(*frame), entered_ns};
     estimate(tracks);
     if (finder && backend->place_query()) find_place(*place_query.get());
+    if (const auto snapshot = map.get()) images.trim(*snapshot);
     if (mapper && tracks.tracks.keyframe)
       while (!stop.stop_requested() && map_once(*map.get())) {
       }
@@ -296,6 +299,12 @@ std::optional<Error> Engine::Impl::Run::run_threads(const std::stop_token& stop)
         while (const auto query = place_query.wait(seen, halted)) find_place(*query);
       });
     });
+    std::jthread trimming([&] {
+      guarded([&] {
+        std::uint64_t seen = 0;
+        while (const auto snapshot = map.wait(seen, halted)) images.trim(*snapshot);
+      });
+    });
     std::jthread mapping_stage([&] {
       if (!mapper) return;
       guarded([&] {
@@ -350,6 +359,9 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
           "{} voxel blocks were dropped or not made: the map's budget is mapping.max_blocks = {}.",
           statistics.dropped_blocks, engine.options.mapping.max_blocks));
   }
+  if (images.failure())
+    result.notes.push_back("Keyframes' pictures stayed in memory: " +
+                           images.failure()->to_string());
   const std::uint64_t dropped = result.counts.dropped;
   result.counts = intake.counts();
   result.counts.dropped += dropped;
@@ -388,24 +400,26 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
     finder = std::move(*created);
   }
   auto backend = std::make_unique<Backend>(impl_->options.backend, info.intrinsics, impl_->threads);
-  Impl::Run run{*impl_,
-                source,
-                InOrder(source),
-                sinks,
-                positions,
-                gate,
-                std::move(*frontend),
-                std::move(backend),
-                std::move(mapper),
-                std::move(finder),
-                {},
-                {},
-                {},
-                {},
-                {},
-                {},
-                {},
-                held_ms};
+  Impl::Run run{
+      *impl_,
+      source,
+      InOrder(source),
+      sinks,
+      positions,
+      gate,
+      std::move(*frontend),
+      std::move(backend),
+      std::move(mapper),
+      std::move(finder),
+      {},
+      {},
+      {},
+      {},
+      {},
+      {},
+      ImageStore(sinks.archive, static_cast<std::size_t>(impl_->options.keyframe_images_mb) << 20),
+      {},
+      held_ms};
   run.result.options = impl_->options;
   run.result.device = impl_->device->info().name;
   run.result.source = info;

@@ -91,7 +91,7 @@ PlaceSearch PlaceFinder::find(const FrameTracks& query, const MapSnapshot& map) 
   PlaceSearch search;
   search.match.query = query.frame->id;
   while (index_.size() < map.keyframes.size())
-    index_.add(describe_place(map.keyframes[index_.size()]->frame->grey));
+    index_.add(describe_place(map.keyframes[index_.size()]->frame->load()->grey));
   const bool known = std::any_of(map.keyframes.begin(), map.keyframes.end(),
                                  [&](const auto& k) { return k->frame->id == query.frame->id; });
   if (known && resting_ > 0) {
@@ -141,7 +141,7 @@ PlaceReference PlaceFinder::verify(const Keyframe& keyframe, const MatchView& ta
     refusal = fmt::format("it has only {} landmarks", pixels.size());
     return reference;
   }
-  const MatchView view = pairs_->prepare(keyframe.frame->grey, *keyframe.frame->camera, pixels);
+  const MatchView view = pairs_->prepare(keyframe.frame->load()->grey, *keyframe.frame->camera, pixels);
   yield_();
   const PairMatches matches = pairs_->match(view, target, {.upright = true});
   for (const PairMatch& match : matches.matches) {

@@ -13,18 +13,11 @@
 #include <utility>
 #include <vector>
 
+#include "io/io_fault.h"
+
 namespace corvid {
 namespace fs = std::filesystem;
 namespace {
-
-tl::unexpected<Error> io_fault(const char* what, const fs::path& path, int code) {
-  std::string hint;
-  if (code == ENOSPC || code == EDQUOT) hint = "free some space on that disk";
-  if (code == EACCES || code == EPERM || code == EROFS) hint = "choose a folder you may write to";
-  return fail(code == ENOENT ? ErrorCode::not_found : ErrorCode::io,
-              fmt::format("{}: {}", what, std::system_category().message(code)), path.string(),
-              std::move(hint));
-}
 
 /// Closes a file descriptor at the end of the scope.
 struct Descriptor {

@@ -141,8 +141,8 @@ Expected<std::vector<ColmapModel>> write_colmap(const MapSnapshot& map, const fs
   if (!map.camera) return fail(ErrorCode::invalid_argument, "the map has no camera", dir.string());
   std::map<int, std::vector<View>> segments;
   for (const auto& keyframe : map.keyframes) {
-    if (!keyframe->frame || keyframe->frame->grey.width() != map.camera->width_px ||
-        keyframe->frame->grey.height() != map.camera->height_px) {
+    if (!keyframe->frame || keyframe->frame->width_px != map.camera->width_px ||
+        keyframe->frame->height_px != map.camera->height_px) {
       continue;
     }
     segments[keyframe->segment].push_back(
@@ -154,8 +154,13 @@ Expected<std::vector<ColmapModel>> write_colmap(const MapSnapshot& map, const fs
   const Undistorter undistort(*map.camera);
   for (const auto& [segment, views] : segments) {
     for (const View& view : views) {
+      const FramePtr frame = view.keyframe->frame->load();
+      if (frame->grey.empty()) {
+        return fail(ErrorCode::io, "the picture could not be read back", view.name,
+                    "see the warning before; free space on the disk of the output folder");
+      }
       auto ok = write_file_atomically(dir / "images" / view.name,
-                                      encode_image(*view.keyframe->frame, undistort, options));
+                                      encode_image(*frame, undistort, options));
       if (!ok) return tl::unexpected(ok.error());
     }
   }

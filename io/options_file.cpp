@@ -92,6 +92,8 @@ constexpr OptionField kFields[] = {
     CORVID_OPTION(backend.max_position_gap_s,
                   "positions are interpolated over gaps up to this long [s]"),
     CORVID_OPTION(backend.final_adjustment, "adjust everything once more at the end of the run"),
+    CORVID_OPTION(backend.adjustment_views,
+                  "views that it holds at once; a larger map is adjusted in pieces"),
     CORVID_OPTION(backend.intrinsics,
                   "intrinsics that are estimated, too: auto, fixed, distortion, all"),
     CORVID_OPTION(backend.loop_max_drift,
@@ -118,6 +120,8 @@ constexpr OptionField kFields[] = {
 
     CORVID_OPTION(device, "OpenCL device: auto, cpu, gpu, or a number from `corvid doctor`"),
     CORVID_OPTION(threads, "CPU budget of all stages; 0: all cores; 1: bit-repeatable, inline"),
+    CORVID_OPTION(keyframe_images_mb,
+                  "pictures of the newest keyframes kept in memory [MiB]; older ones go to a file"),
 };
 #undef CORVID_OPTION
 

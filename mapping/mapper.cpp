@@ -45,7 +45,7 @@ double median_of(std::vector<double> values) {
 /// What was done with one keyframe.
 struct Entry {
   int segment = 0;
-  FramePtr frame;
+  StoredFramePtr frame;
   Camera lens;                            ///< that its image was undistorted with
   std::shared_ptr<const DepthMap> depth;  ///< null: tried or skipped
   double median_depth = 0;
@@ -357,7 +357,8 @@ struct Mapper::Impl {
     end_slice();
     if (worst->fused) {
       Stopwatch watch;
-      volume->unfuse(*worst->fused, *worst->depth, images.colours(*worst->frame, worst->lens));
+      volume->unfuse(*worst->fused, *worst->depth,
+                     images.colours(*worst->frame->load(), worst->lens));
       worst->fused.reset();
       timings.emplace_back("unfuse", watch.lap_ms());
       counts.refusions += worst_keyframe != nullptr;
@@ -375,7 +376,7 @@ struct Mapper::Impl {
     end_slice();
     Stopwatch watch;
     const Eigen::Vector3d p_newest = map.keyframes.back()->T_world_camera.translation();
-    entry.fused = volume->fuse(*entry.depth, images.colours(*entry.frame, entry.lens),
+    entry.fused = volume->fuse(*entry.depth, images.colours(*entry.frame->load(), entry.lens),
                                T_world_camera, p_newest);
     timings.emplace_back("fuse", watch.lap_ms());
     show_changes();

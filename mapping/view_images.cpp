@@ -33,12 +33,14 @@ std::shared_ptr<const SweepImage> ViewImages::sweep_image(const Keyframe& keyfra
                                                           const Camera& lens,
                                                           DepthSweeper& sweeper) {
   prepare_for(lens);
-  const GreyImage& grey = keyframe.frame->grey;
-  if (grey.width() != lens.width_px || grey.height() != lens.height_px) return nullptr;
+  const StoredFrame& stored = *keyframe.frame;
+  if (stored.width_px != lens.width_px || stored.height_px != lens.height_px) return nullptr;
+  const FramePtr frame = kept_.contains(keyframe.id) ? nullptr : stored.load();
+  if (frame && frame->grey.empty()) return nullptr;  // lost
   Kept& kept = kept_[keyframe.id];
   kept.last_use = ++uses_;
-  if (!kept.image) {
-    DeviceImage image = upload(*device_, grey, Lane::mapping);
+  if (frame) {
+    DeviceImage image = upload(*device_, frame->grey, Lane::mapping);
     if (undistort_) image = warper_.remap(image, *undistort_, Lane::mapping);
     kept.image = std::make_shared<const SweepImage>(sweeper.prepare(image, scale_, Lane::mapping));
   }

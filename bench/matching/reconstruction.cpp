@@ -136,7 +136,9 @@ Cameras start_from_tracks(std::span<const FramePtr> images, const Tracks& tracks
       sizes.begin(), sizes.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
   for (const auto& keyframe : map->keyframes) {
     if (keyframe->segment != largest->first) continue;
-    const auto image = std::find(images.begin(), images.end(), keyframe->frame);
+    const auto image = std::find_if(images.begin(), images.end(), [&](const FramePtr& i) {
+      return i->id == keyframe->frame->id;
+    });
     cameras.T_world_camera[static_cast<std::size_t>(image - images.begin())] =
         keyframe->T_world_camera;
   }

@@ -4,6 +4,7 @@
 #include <memory>
 #include <stop_token>
 
+#include "corvid/archive.h"
 #include "corvid/error.h"
 #include "corvid/options.h"
 #include "corvid/ports.h"
@@ -15,6 +16,9 @@ namespace corvid {
 struct EngineSinks {
   PoseSink* pose = nullptr;
   MeshSink* mesh = nullptr;
+  /// Where the pictures of older keyframes go (options.keyframe_images_mb); null: they stay in
+  /// memory, which then grows with the flight. What a run returns reads from it, too.
+  std::shared_ptr<Archive> archive = nullptr;
 };
 
 /// The whole engine: a source goes in; poses, a map and a mesh come out.

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <cstdint>
+#include <iterator>
 #include <memory>
 #include <optional>
 #include <string>
@@ -66,9 +68,63 @@ struct Observation {
 struct Keyframe {
   KeyframeId id;
   int segment = 0;
-  FramePtr frame;
+  StoredFramePtr frame;
   Pose T_world_camera;
   std::vector<Observation> observations;  ///< of landmarks only, sorted by landmark
+};
+
+/// Landmarks by id, in chunks that consecutive snapshots share where nothing changed: the price of
+/// a snapshot does not grow with the map.
+class Landmarks {
+ public:
+  using Chunk = std::shared_ptr<const std::vector<Landmark>>;
+  class Iterator {
+   public:
+    using iterator_category = std::forward_iterator_tag;
+    using value_type = Landmark;
+    using difference_type = std::ptrdiff_t;
+    using pointer = const Landmark*;
+    using reference = const Landmark&;
+    Iterator() = default;
+    [[nodiscard]] reference operator*() const { return (**chunk_)[at_]; }
+    [[nodiscard]] pointer operator->() const { return &**this; }
+    Iterator& operator++() {
+      if (++at_ == (*chunk_)->size()) {
+        ++chunk_;
+        at_ = 0;
+      }
+      return *this;
+    }
+    Iterator operator++(int) {
+      Iterator before = *this;
+      ++*this;
+      return before;
+    }
+    bool operator==(const Iterator&) const = default;
+
+   private:
+    friend class Landmarks;
+    explicit Iterator(std::vector<Chunk>::const_iterator chunk) : chunk_(chunk) {}
+    std::vector<Chunk>::const_iterator chunk_;
+    std::size_t at_ = 0;
+  };
+
+  Landmarks() = default;
+  /// @param landmarks  by id.
+  explicit Landmarks(std::vector<Landmark> landmarks);
+  /// @param chunks  ascending, by id, none of them null or empty.
+  explicit Landmarks(std::vector<Chunk> chunks);
+
+  [[nodiscard]] Iterator begin() const { return Iterator(chunks_.begin()); }
+  [[nodiscard]] Iterator end() const { return Iterator(chunks_.end()); }
+  [[nodiscard]] std::size_t size() const { return size_; }
+  [[nodiscard]] bool empty() const { return size_ == 0; }
+  /// nullptr if there is none of that id.
+  [[nodiscard]] const Landmark* find(LandmarkId id) const;
+
+ private:
+  std::vector<Chunk> chunks_;
+  std::size_t size_ = 0;
 };
 
 /// The sparse map at one moment. Immutable.
@@ -76,8 +132,8 @@ struct MapSnapshot {
   std::uint64_t version = 0;
   std::shared_ptr<const Camera> camera;  ///< with refined intrinsics where they were unknown
   std::vector<std::shared_ptr<const Keyframe>> keyframes;  ///< by id
-  std::vector<Landmark> landmarks;                         ///< by id
-  [[nodiscard]] const Landmark* find(LandmarkId id) const;
+  Landmarks landmarks;
+  [[nodiscard]] const Landmark* find(LandmarkId id) const { return landmarks.find(id); }
 };
 
 /// Depth of one keyframe, on an undistorted pinhole camera.

@@ -69,9 +69,11 @@ struct BackendOptions {
   int window_keyframes = 10;             ///< keyframes that the adjustment moves
   int max_iterations = 10;               ///< of one window adjustment
   int min_inliers = 20;                  ///< fewer agreeing landmarks: lost
-  double max_scale_sigma = 0.02;  ///< positions make a map metric below this deviation [share]
-  double max_position_gap_s = 2;  ///< positions are interpolated over gaps up to this long [s]
-  bool final_adjustment = true;   ///< adjust everything once more at the end of the run
+  double max_scale_sigma = 0.02;   ///< positions make a map metric below this deviation [share]
+  double max_position_gap_s = 2;   ///< positions are interpolated over gaps up to this long [s]
+  bool final_adjustment = true;    ///< adjust everything once more at the end of the run
+  int adjustment_views = 600'000;  ///< that it holds at once (about 1 KB each); a larger map is
+                                   ///< adjusted in pieces
   /// Intrinsics that are estimated, too: auto, fixed, distortion (k1, k2) or all (focal length, k1,
   /// k2; at the end the whole lens). auto: all without a calibration, distortion where the
   /// calibration has none, else fixed.
@@ -115,6 +117,7 @@ struct Options {
   MappingOptions mapping;
   std::string device = "auto";  ///< OpenCL device: auto, cpu, gpu, or an index from `corvid doctor`
   int threads = 0;              ///< CPU budget of all stages; 0: all cores; 1: every stage inline
+  int keyframe_images_mb = 128;  ///< of the newest keyframes; older ones go to the archive file
   /// Every problem of every stage, as "stage.field: what is wrong"; empty if none.
   [[nodiscard]] std::vector<std::string> validate() const;
 };

@@ -204,7 +204,7 @@ TEST(Report, OneFrameAndOneLandmark) {
   RunResult run = made_up_run(120);
   auto map = std::make_shared<MapSnapshot>(*run.map);
   map->keyframes.resize(1);
-  map->landmarks.resize(1);
+  map->landmarks = Landmarks(std::vector<Landmark>{*map->landmarks.begin()});
   run.map = map;
   run.events.resize(1);
   run.trajectory.resize(1);

@@ -50,7 +50,7 @@ TEST(RunFolder, HoldsEverything) {
   const auto points = read_mesh(dir / "points.ply");
   ASSERT_TRUE(points);
   EXPECT_EQ(points->vertices.size(), run.map->landmarks.size());
-  EXPECT_EQ(points->colours[5], run.map->landmarks[5].colour);
+  EXPECT_EQ(points->colours[5], std::next(run.map->landmarks.begin(), 5)->colour);
 
   const auto mesh = load_run_mesh(dir);
   ASSERT_TRUE(mesh) << mesh.error().to_string();

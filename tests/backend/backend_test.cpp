@@ -355,8 +355,9 @@ TEST(Backend, RepeatsBitForBit) {
     EXPECT_EQ(std::memcmp(Ta.data(), Tb.data(), sizeof(double) * 16), 0) << i;
   }
   ASSERT_EQ(a.map->landmarks.size(), b.map->landmarks.size());
-  for (std::size_t i = 0; i < a.map->landmarks.size(); ++i) {
-    EXPECT_EQ(a.map->landmarks[i].p_world, b.map->landmarks[i].p_world);
+  for (auto i = a.map->landmarks.begin(), j = b.map->landmarks.begin(); i != a.map->landmarks.end();
+       ++i, ++j) {
+    EXPECT_EQ(i->p_world, j->p_world);
   }
 }
 
@@ -418,7 +419,8 @@ TEST(Backend, SnapshotsAreConsistentAndImmutable) {
     }
   }
   ASSERT_FALSE(copy.empty());
-  for (std::size_t i = 0; i < copy.size(); ++i) EXPECT_EQ(copy[i], before->landmarks[i].p_world);
+  auto kept = copy.begin();
+  for (const Landmark& l : before->landmarks) EXPECT_EQ(*kept++, l.p_world);
   const auto map = backend.map();
   EXPECT_GT(map->version, before->version);
   for (std::size_t k = 0; k < map->keyframes.size(); ++k) {

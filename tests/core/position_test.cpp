@@ -88,22 +88,24 @@ TEST(PositionFeed, TakesFromManyThreadsAndRefusesTheUseless) {
 RunResult two_segments() {
   RunResult result;
   auto map = std::make_shared<MapSnapshot>();
+  std::vector<Landmark> landmarks;
   for (int i = 0; i < 4; ++i) {
     auto frame = std::make_shared<Frame>();
     frame->time_ns = 100 * i;
     auto keyframe = std::make_shared<Keyframe>();
     keyframe->id = KeyframeId(static_cast<std::uint32_t>(i));
     keyframe->segment = i / 3;
-    keyframe->frame = frame;
+    keyframe->frame = std::make_shared<const StoredFrame>(frame);
     keyframe->T_world_camera = Pose(Eigen::Quaterniond::Identity(), Eigen::Vector3d(i, 0, 0));
     keyframe->observations.push_back({LandmarkId(static_cast<std::uint32_t>(i)), {}});
     map->keyframes.push_back(keyframe);
     Landmark landmark;
     landmark.id = LandmarkId(static_cast<std::uint32_t>(i));
     landmark.p_world = {double(i), 1, 0};
-    map->landmarks.push_back(landmark);
+    landmarks.push_back(landmark);
     result.trajectory.push_back({frame->time_ns, keyframe->T_world_camera});
   }
+  map->landmarks = Landmarks(landmarks);
   result.map = map;
   DepthMap depth;
   depth.keyframe = KeyframeId(1);
@@ -133,8 +135,8 @@ TEST(PlaceOnEarth, MovesEverythingOnce) {
     const Eigen::Vector3d expected = T * Eigen::Vector3d(double(i), 0, 0);
     EXPECT_LT((result.trajectory[i].T_world_camera.translation() - expected).norm(), 1e-12);
     EXPECT_LT((result.map->keyframes[i]->T_world_camera.translation() - expected).norm(), 1e-12);
-    EXPECT_LT((result.map->landmarks[i].p_world - T * Eigen::Vector3d(double(i), 1, 0)).norm(),
-              1e-12);
+    const Landmark& landmark = *result.map->find(LandmarkId(static_cast<std::uint32_t>(i)));
+    EXPECT_LT((landmark.p_world - T * Eigen::Vector3d(double(i), 1, 0)).norm(), 1e-12);
   }
   EXPECT_FLOAT_EQ(result.depth_maps[0].depth(1, 1), 8);
   EXPECT_LT((result.mesh.vertices[0] - Eigen::Vector3f(10, 0, 2)).norm(), 1e-5F);

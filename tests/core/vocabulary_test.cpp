@@ -101,15 +101,22 @@ TEST(Log, IsSilentUntilAProgramSetsALogger) {
 }
 
 TEST(MapSnapshot, FindsLandmarksById) {
-  MapSnapshot map;
-  for (const std::uint32_t id : {2u, 5u, 9u}) {
-    Landmark landmark;
-    landmark.id = LandmarkId(id);
-    map.landmarks.push_back(landmark);
+  std::vector<Landmarks::Chunk> chunks;
+  for (const std::uint32_t first : {2u, 5u, 9u}) {
+    std::vector<Landmark> chunk(2);
+    chunk[0].id = LandmarkId(first);
+    chunk[1].id = LandmarkId(first + 1);
+    chunks.push_back(std::make_shared<const std::vector<Landmark>>(chunk));
   }
+  MapSnapshot map;
+  map.landmarks = Landmarks(chunks);
   ASSERT_NE(map.find(LandmarkId(5)), nullptr);
-  EXPECT_EQ(map.find(LandmarkId(5)), &map.landmarks[1]);
-  for (const std::uint32_t id : {0u, 3u, 10u}) EXPECT_EQ(map.find(LandmarkId(id)), nullptr);
+  EXPECT_EQ(map.find(LandmarkId(5)), &chunks[1]->front());
+  for (const std::uint32_t id : {0u, 4u, 7u, 11u}) EXPECT_EQ(map.find(LandmarkId(id)), nullptr);
+  std::vector<std::uint32_t> ids;
+  for (const Landmark& landmark : map.landmarks) ids.push_back(landmark.id.value);
+  EXPECT_EQ(ids, (std::vector<std::uint32_t>{2, 3, 5, 6, 9, 10}));
+  EXPECT_EQ(map.landmarks.size(), ids.size());
   EXPECT_EQ(MapSnapshot().find(LandmarkId(0)), nullptr);
 }
 

@@ -78,7 +78,7 @@ struct TrueMap {
     keyframe->id = KeyframeId(static_cast<std::uint32_t>(map.keyframes.size()));
     auto image = std::make_shared<Frame>(*flight.render(frame));
     image->id = FrameId(static_cast<std::uint32_t>(frame));
-    keyframe->frame = image;
+    keyframe->frame = std::make_shared<const StoredFrame>(image);
     keyframe->T_world_camera = flight.true_pose(frame);
     for (int y = 20; y < image->grey.height() - 20; y += 14)
       for (int x = 20; x < image->grey.width() - 20; x += 14)

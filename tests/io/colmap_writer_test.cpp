@@ -38,13 +38,15 @@ MapSnapshot small_map(int keyframes, int segments = 1, bool colour = true) {
   map.camera = camera;
   std::mt19937 random(7);
   std::uniform_real_distribution<double> unit(-1, 1);
+  std::vector<Landmark> landmarks;
   for (std::uint32_t i = 0; i < 150; ++i) {
     Landmark l;
     l.id = LandmarkId(3 * i + 1);
     l.p_world = {3 * unit(random), 2 * unit(random), 6 + 2 * unit(random)};
     l.colour = {static_cast<std::uint8_t>(i), 7, 200};
-    map.landmarks.push_back(l);
+    landmarks.push_back(l);
   }
+  map.landmarks = Landmarks(std::move(landmarks));
   for (int k = 0; k < keyframes; ++k) {
     auto keyframe = std::make_shared<Keyframe>();
     keyframe->id = KeyframeId(static_cast<std::uint32_t>(k));
@@ -58,7 +60,7 @@ MapSnapshot small_map(int keyframes, int segments = 1, bool colour = true) {
     if (colour) frame->colour = ColourImage(320, 240, Rgb8{200, 90, 30});
     frame->camera = camera;
     frame->name = "a name with blanks.png";
-    keyframe->frame = frame;
+    keyframe->frame = std::make_shared<const StoredFrame>(frame);
     for (const Landmark& l : map.landmarks) {
       const auto pixel = camera->project(keyframe->T_world_camera.inverse() * l.p_world);
       if (pixel && camera->in_image(*pixel)) keyframe->observations.push_back({l.id, *pixel});
@@ -193,13 +195,15 @@ TEST(ColmapWriter, ObservationsThatCannotBeKeptAreLeftOut) {
   const std::size_t before = keyframe->observations.size();
   keyframe->observations.push_back({LandmarkId(900000), {10, 10}});  // not in the map
   map.keyframes[0] = keyframe;
-  map.landmarks[10].p_world.z() = -5;  // behind both cameras
+  std::vector<Landmark> landmarks(map.landmarks.begin(), map.landmarks.end());
+  landmarks[10].p_world.z() = -5;  // behind both cameras
+  map.landmarks = Landmarks(landmarks);
   const auto models = write_colmap(map, folder.path());
   ASSERT_TRUE(models);
   EXPECT_LE(models->front().observations / 2, before);
   for (const std::string& line : data_lines(folder / "sparse" / "points3D.txt")) {
     EXPECT_FALSE(line.starts_with("900001 "));
-    EXPECT_FALSE(line.starts_with(std::to_string(map.landmarks[10].id.value + 1) + " "));
+    EXPECT_FALSE(line.starts_with(std::to_string(landmarks[10].id.value + 1) + " "));
   }
 }
 

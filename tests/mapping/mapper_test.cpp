@@ -84,6 +84,13 @@ MapSnapshot first_keyframes(const MapSnapshot& map, std::size_t n) {
   return out;
 }
 
+template <class Move>
+Landmarks moved(const Landmarks& landmarks, const Move& move) {
+  std::vector<Landmark> out(landmarks.begin(), landmarks.end());
+  for (Landmark& landmark : out) landmark.p_world = move(landmark.p_world);
+  return Landmarks(std::move(out));
+}
+
 MapSnapshot moved(const MapSnapshot& map, const Pose& T_new_old) {
   MapSnapshot out = map;
   ++out.version;
@@ -92,7 +99,7 @@ MapSnapshot moved(const MapSnapshot& map, const Pose& T_new_old) {
     copy->T_world_camera = T_new_old * copy->T_world_camera;
     keyframe = copy;
   }
-  for (Landmark& landmark : out.landmarks) landmark.p_world = T_new_old * landmark.p_world;
+  out.landmarks = moved(map.landmarks, [&](const Eigen::Vector3d& p) { return T_new_old * p; });
   return out;
 }
 
@@ -176,7 +183,7 @@ MapSnapshot scaled(const MapSnapshot& map, double scale, std::size_t keyframes) 
         Pose(keyframe->T_world_camera.rotation(), scale * keyframe->T_world_camera.translation());
     keyframe = copy;
   }
-  for (Landmark& landmark : out.landmarks) landmark.p_world *= scale;
+  out.landmarks = moved(map.landmarks, [&](const Eigen::Vector3d& p) { return scale * p; });
   return out;
 }
 
@@ -276,15 +283,15 @@ TEST(Mapper, BadViewsGiveNoDepthAndNoFault) {
   EXPECT_EQ(surface_of(no_landmarks), 0U);
   // Poses and landmarks that disagree by a factor of a thousand.
   MapSnapshot wrong = testing::true_map(room(), camera, poses);
-  for (Landmark& landmark : wrong.landmarks) landmark.p_world *= 1000;
+  wrong.landmarks = moved(wrong.landmarks, [](const Eigen::Vector3d& p) { return 1000 * p; });
   EXPECT_EQ(surface_of(wrong), 0U) << "landmarks that do not fit the poses";
   // An image of another size than the camera says.
   MapSnapshot odd = testing::true_map(room(), camera, poses);
   for (auto& keyframe : odd.keyframes) {
-    auto frame = std::make_shared<Frame>(*keyframe->frame);
+    auto frame = std::make_shared<Frame>(*keyframe->frame->load());
     frame->grey = GreyImage(30, 20);
     auto copy = std::make_shared<Keyframe>(*keyframe);
-    copy->frame = frame;
+    copy->frame = std::make_shared<const StoredFrame>(frame);
     keyframe = copy;
   }
   EXPECT_EQ(surface_of(odd), 0U);

@@ -53,6 +53,7 @@ inline RunResult made_up_run(int frames = 120) {
   std::normal_distribution<double> normal;
   auto map = std::make_shared<MapSnapshot>();
   map->camera = camera;
+  std::vector<Landmark> landmarks;
   for (std::uint32_t i = 0; i < 4000; ++i) {
     Eigen::Vector3d n(normal(random), normal(random), normal(random));
     n.normalize();
@@ -63,8 +64,9 @@ inline RunResult made_up_run(int frames = 120) {
                 static_cast<std::uint8_t>(127 + 127 * n.y()),
                 static_cast<std::uint8_t>(127 + 127 * n.z())};
     l.observations = 3;
-    map->landmarks.push_back(l);
+    landmarks.push_back(l);
   }
+  map->landmarks = Landmarks(std::move(landmarks));
   for (int i = 0; i < frames; ++i) {
     const double s = static_cast<double>(i) / frames;
     PoseEvent e;
@@ -122,7 +124,7 @@ inline RunResult made_up_run(int frames = 120) {
       auto keyframe = std::make_shared<Keyframe>();
       keyframe->id = depth.keyframe;
       keyframe->segment = e.segment;
-      keyframe->frame = frame;
+      keyframe->frame = std::make_shared<const StoredFrame>(frame);
       keyframe->T_world_camera = T;
       for (const Landmark& l : map->landmarks) {
         const auto pixel = camera->project(T.inverse() * l.p_world);

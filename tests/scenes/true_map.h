@@ -25,11 +25,12 @@ inline MapSnapshot true_map(const PlaneScene& scene, const Camera& camera,
     frame->camera = map.camera;
     auto keyframe = std::make_shared<Keyframe>();
     keyframe->id = KeyframeId(static_cast<std::uint32_t>(keyframes.size()));
-    keyframe->frame = frame;
+    keyframe->frame = std::make_shared<const StoredFrame>(frame);
     keyframe->T_world_camera = T;
     keyframes.push_back(keyframe);
     depths.push_back(scene.depth(camera, T));
   }
+  std::vector<Landmark> landmarks;
   std::mt19937 random(5);
   for (std::size_t k = 0; k < poses.size(); ++k) {
     for (int i = 0; i < landmarks_per_view; ++i) {
@@ -39,7 +40,7 @@ inline MapSnapshot true_map(const PlaneScene& scene, const Camera& camera,
       if (!(z > 0)) continue;
       const Eigen::Vector3d ray = camera.unproject({x, y}).value();
       Landmark landmark;
-      landmark.id = LandmarkId(static_cast<std::uint32_t>(map.landmarks.size()));
+      landmark.id = LandmarkId(static_cast<std::uint32_t>(landmarks.size()));
       landmark.p_world = poses[k] * (ray * (z / ray.z()));
       for (std::size_t j = 0; j < poses.size(); ++j) {
         const Eigen::Vector3d p = poses[j].inverse() * landmark.p_world;
@@ -51,10 +52,11 @@ inline MapSnapshot true_map(const PlaneScene& scene, const Camera& camera,
         keyframes[j]->observations.push_back({landmark.id, *pixel});
         ++landmark.observations;
       }
-      map.landmarks.push_back(landmark);
+      landmarks.push_back(landmark);
     }
   }
   map.keyframes.assign(keyframes.begin(), keyframes.end());
+  map.landmarks = Landmarks(std::move(landmarks));
   return map;
 }
 
