@@ -143,7 +143,7 @@ std::string report_html(const ReportFacts& facts) {
                       html_escape("corvid " + facts.input.version));
   if (result.interrupted) {
     body +=
-        "<p class=\"banner\" id=\"interrupted\">This run was interrupted before its source ended: "
+        "<p class=\"banner\" id=\"interrupted\">This run was interrupted before its end: "
         "the results are partial.</p>\n";
   }
   if (facts.numbers.poses == 0) {

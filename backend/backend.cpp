@@ -335,14 +335,18 @@ std::shared_ptr<const MotionState> Backend::motion() const { return impl_->publi
 
 std::shared_ptr<const MapSnapshot> Backend::map() const { return impl_->published_map; }
 
-void Backend::finish() {
+bool Backend::finish(const std::stop_token& stop) {
   Impl& b = *impl_;
-  if (b.map.keyframes.empty()) return;
+  if (b.map.keyframes.empty()) return true;
   b.straighten_segments();
-  if (!b.options.final_adjustment) return b.publish_map();
-  adjust_all(b.map, b.options, b.threads, b.final_intrinsics_policy());
-  for (int s = 0; s <= b.newest_segment; ++s) b.positions.place_whole(b.map, s);
+  bool whole = true;
+  if (b.options.final_adjustment) {
+    adjust_all(b.map, b.options, b.threads, b.final_intrinsics_policy(), stop);
+    whole = !stop.stop_requested();
+    for (int s = 0; s <= b.newest_segment; ++s) b.positions.place_whole(b.map, s);
+  }
   b.publish_map();
+  return whole;
 }
 
 void Backend::add_positions(std::span<const PositionFix> fixes) { impl_->positions.add(fixes); }

@@ -3,6 +3,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <stop_token>
 #include <string>
 #include <utility>
 #include <vector>
@@ -52,8 +53,10 @@ class Backend {
   [[nodiscard]] std::shared_ptr<const MotionState> motion() const;
   /// The newest published map. Never null; without keyframes while starting.
   [[nodiscard]] std::shared_ptr<const MapSnapshot> map() const;
-  /// Adjusts the whole map once more (if options.final_adjustment) and publishes it.
-  void finish();
+  /// Adjusts the whole map once more (if options.final_adjustment) and publishes it. Asked to stop,
+  /// it ends within an iteration and keeps what was reached.
+  /// @return whether the adjustment was left to end by itself.
+  bool finish(const std::stop_token& stop = {});
   /// Every frame that has a pose, with all corrections that its reference keyframe got since.
   /// Frames between the two starting keyframes are in it, although their events had no pose.
   [[nodiscard]] Trajectory trajectory() const;

@@ -1,5 +1,6 @@
 #include "backend/bundle.h"
 
+#include <ceres/iteration_callback.h>
 #include <ceres/loss_function.h>
 #include <ceres/problem.h>
 #include <ceres/solver.h>
@@ -67,6 +68,20 @@ double error_factor(const BundleProblem& problem) {
   std::nth_element(squares.begin(), middle, squares.end());
   return std::max(0.5, std::sqrt(*middle / (2 * std::log(2.0))));
 }
+
+/// Tells how far the solver is, and stops it when asked to.
+class IterationWatch final : public ceres::IterationCallback {
+ public:
+  explicit IterationWatch(const BundleSettings& settings) : settings_(settings) {}
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& summary) override {
+    if (settings_.on_iteration) settings_.on_iteration(summary.iteration, summary.cost);
+    return settings_.stop.stop_requested() ? ceres::SOLVER_TERMINATE_SUCCESSFULLY
+                                           : ceres::SOLVER_CONTINUE;
+  }
+
+ private:
+  const BundleSettings& settings_;
+};
 
 }  // namespace
 
@@ -175,9 +190,12 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   solver.parameter_tolerance = 1e-9;
   solver.initial_trust_region_radius = 1e5;
   solver.logging_type = ceres::SILENT;
+  IterationWatch watch(settings);
+  solver.callbacks.push_back(&watch);
   ceres::Solver::Summary summary;
   ceres::Solve(solver, &ceres_problem, &summary);
 
+  result.stopped = summary.termination_type == ceres::USER_SUCCESS;
   result.iterations = static_cast<int>(summary.iterations.size());
   result.initial_cost = summary.initial_cost;
   result.final_cost = summary.final_cost;

@@ -2,6 +2,8 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <functional>
+#include <stop_token>
 #include <utility>
 #include <vector>
 
@@ -45,10 +47,15 @@ struct BundleSettings {
   /// Intrinsics that are unknowns too, weakly drawn to those of `intrinsics_prior`.
   IntrinsicsFreedom freedom = IntrinsicsFreedom::fixed;
   Camera intrinsics_prior;
+  /// Ends the adjustment after the iteration that is under way.
+  std::stop_token stop;
+  /// Called before every iteration and after the last one, with the cost that was reached.
+  std::function<void(int iteration, double cost)> on_iteration;
 };
 
 struct BundleResult {
-  bool ok = false;  ///< the solver found finite values that are no worse
+  bool ok = false;       ///< the solver found finite values that are no worse
+  bool stopped = false;  ///< asked to stop before it had converged; what was reached counts
   int iterations = 0;
   double initial_cost = 0, final_cost = 0;
 };

@@ -12,6 +12,7 @@
 #include "backend/bundle.h"
 #include "core/check.h"
 #include "core/log.h"
+#include "core/stopwatch.h"
 
 namespace corvid {
 namespace {
@@ -198,6 +199,7 @@ bool explains_more(BundleProblem& problem, const BundleSettings& settings) {
                           3.0 * static_cast<double>(problem.points.size());
   const double rows = 2.0 * static_cast<double>(problem.observations.size());
   const BundleResult r = adjust(problem, settings);
+  if (r.stopped) return false;
   const double explained = r.initial_cost - r.final_cost;
   // Likelihood ratio of the two models: chi-square with as many degrees of freedom as intrinsics
   // were freed, if errors are independent; they are not quite, hence the margin.
@@ -210,8 +212,9 @@ bool adjust_part(BundleProblem& problem, const BundleSettings& settings) {
   BundleSettings sure = settings;
   if (settings.freedom == IntrinsicsFreedom::radial) sure.freedom = IntrinsicsFreedom::fixed;
   if (settings.freedom == IntrinsicsFreedom::all) sure.freedom = IntrinsicsFreedom::focal;
-  if (!adjust(problem, sure).ok) return false;
-  if (sure.freedom == settings.freedom) return true;
+  const BundleResult r = adjust(problem, sure);
+  if (!r.ok) return false;
+  if (r.stopped || sure.freedom == settings.freedom) return true;
   BundleProblem freed = problem;
   if (!explains_more(freed, settings)) return true;
   if (settings.freedom == IntrinsicsFreedom::radial) {
@@ -302,7 +305,7 @@ void adjust_in_pieces(MapData& map, const BackendOptions& options, const BundleS
   std::size_t done = 0;
   for (const auto& [segment, keyframes] : segments) {
     std::size_t begin = 0, end = 0, half = 0;
-    while (end < keyframes.size()) {
+    while (end < keyframes.size() && !settings.stop.stop_requested()) {
       std::size_t views = 0;
       for (end = begin; end < keyframes.size() && views < most; ++end) {
         views += map.keyframes[static_cast<std::size_t>(keyframes[end])].tracks.size();
@@ -320,15 +323,19 @@ void adjust_in_pieces(MapData& map, const BackendOptions& options, const BundleS
 }  // namespace
 
 bool adjust_all(MapData& map, const BackendOptions& options, int threads,
-                const IntrinsicsPolicy& intrinsics) {
+                const IntrinsicsPolicy& intrinsics, const std::stop_token& stop) {
   constexpr int kRounds = 2, kIterations = 30;
   if (count_views(map) > static_cast<std::size_t>(options.adjustment_views)) {
     BundleSettings settings = settings_for(options, threads, intrinsics);
     settings.freedom = IntrinsicsFreedom::fixed;
+    settings.stop = stop;
     adjust_in_pieces(map, options, settings);
     return true;
   }
-  for (int round = 0; round < kRounds; ++round) {
+  constexpr double kTellEvery_ms = 1000;
+  Stopwatch watch;
+  double since_told_ms = 0;
+  for (int round = 0; round < kRounds && !stop.stop_requested(); ++round) {
     Part part = collect(map, std::vector<std::uint8_t>(map.keyframes.size(), 1), 0);
     if (part.keyframes.size() < 2) return false;
     // Gauge of every segment: its positions, or else its first keyframe and a distance from it.
@@ -354,6 +361,14 @@ bool adjust_all(MapData& map, const BackendOptions& options, int threads,
     }
     BundleSettings settings = settings_for(options, threads, intrinsics);
     settings.max_iterations = kIterations;
+    settings.stop = stop;
+    settings.on_iteration = [&](int iteration, double cost) {
+      since_told_ms += watch.lap_ms();
+      if (since_told_ms < kTellEvery_ms) return;
+      since_told_ms = 0;
+      log().info("adjustment: round {} of {}, iteration {}, {} keyframes, cost {:.6g}", round + 1,
+                 kRounds, iteration, part.keyframes.size(), cost);
+    };
     if (!adjust_part(part.problem, settings)) return false;
     write_back(map, part, intrinsics.freedom != IntrinsicsFreedom::fixed);
     drop_outliers(map, part, options);

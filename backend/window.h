@@ -1,5 +1,6 @@
 #pragma once
 
+#include <stop_token>
 #include <vector>
 
 #include "backend/intrinsics.h"
@@ -28,9 +29,10 @@ bool adjust_window(MapData& map, int first, int count, const BackendOptions& opt
 
 /// Adjusts every keyframe and landmark of all segments, twice, with outliers dropped in between. A
 /// map of more than options.adjustment_views is adjusted in overlapping pieces, so that memory
-/// stays bounded; then the intrinsics stay as they are.
+/// stays bounded; then the intrinsics stay as they are. How far it is goes to the log. Asked to
+/// stop, it ends within an iteration, and the map keeps what was reached.
 /// @return whether anything was adjusted.
 bool adjust_all(MapData& map, const BackendOptions& options, int threads,
-                const IntrinsicsPolicy& intrinsics);
+                const IntrinsicsPolicy& intrinsics, const std::stop_token& stop);
 
 }  // namespace corvid

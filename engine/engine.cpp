@@ -324,7 +324,12 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
   if (positions) backend->add_positions(positions->take());
   if (!interrupted) {
     recognise();
-    backend->finish();
+    if (!backend->finish(stop)) {
+      interrupted = true;
+      result.notes.emplace_back(
+          "The adjustment of the whole map was stopped before its end: the poses are better than "
+          "in flight, and not yet as good as they can be.");
+    }
     metrics.add("backend/finish", watch.lap_ms());
   }
   result.map = backend->map();

@@ -41,7 +41,7 @@ struct RunResult {
   std::vector<StageMetrics> stages;
   double wall_s = 0;
   std::uint64_t peak_memory_bytes = 0;
-  bool interrupted = false;        ///< stopped before the source ended: a partial result
+  bool interrupted = false;        ///< stopped before all was done: a partial result
   std::vector<std::string> notes;  ///< anything the user should know, one sentence each
 };
 

@@ -84,6 +84,26 @@ TEST(Backend, SidewaysFlightIsTrackedFromItsFirstFrame) {
   EXPECT_LT(r.ate.rmse(), 0.01);
 }
 
+TEST(Backend, AStoppedAdjustmentAtTheEndLeavesAWholeMap) {
+  const Flight flight = test::Simulator(sideways()).fly();
+  for (const bool asked : {false, true}) {
+    Backend backend({}, IntrinsicsOrigin::calibration, 1);
+    for (const FrameTracks& tracks : flight.frames) (void)backend.add(tracks);
+    const Trajectory in_flight = backend.trajectory();
+    std::stop_source stop;
+    if (asked) stop.request_stop();
+    EXPECT_EQ(backend.finish(stop.get_token()), !asked);
+    const Trajectory end = backend.trajectory();
+    ASSERT_EQ(end.size(), in_flight.size());
+    double moved = 0;
+    for (std::size_t i = 0; i < end.size(); ++i)
+      moved = std::max(
+          moved, (end[i].T_world_camera.inverse() * in_flight[i].T_world_camera).log().norm());
+    EXPECT_EQ(moved < 1e-12, asked) << moved;
+    EXPECT_LT(test::absolute_error(end, flight).rmse(), 0.02);
+  }
+}
+
 TEST(Backend, ForwardFlightWithTheEpipoleInTheImage) {
   Simulation s = sideways();
   s.scene = Scene::corridor;

@@ -111,6 +111,39 @@ TEST(Bundle, AnEmptyProblemIsNoSuccessAndChangesNothing) {
   EXPECT_FALSE(adjust(empty, {}).ok);
 }
 
+TEST(Bundle, AStopKeepsWhatWasReached) {
+  const Case c = make_case(test::radtan_camera(), 8, 200, 0.3, 8);
+  BundleSettings settings;
+  settings.max_iterations = 50;
+  std::vector<double> costs;
+  settings.on_iteration = [&](int, double cost) { costs.push_back(cost); };
+  BundleProblem whole = c.start;
+  const BundleResult end = adjust(whole, settings);
+  ASSERT_TRUE(end.ok);
+  EXPECT_FALSE(end.stopped);
+  ASSERT_GT(costs.size(), 3U);
+  EXPECT_DOUBLE_EQ(costs.front(), end.initial_cost);
+  EXPECT_DOUBLE_EQ(costs.back(), end.final_cost);
+
+  std::stop_source stop;
+  settings.stop = stop.get_token();
+  settings.on_iteration = [&](int iteration, double) {
+    if (iteration == 1) stop.request_stop();
+  };
+  BundleProblem part = c.start;
+  const BundleResult r = adjust(part, settings);
+  EXPECT_TRUE(r.ok && r.stopped);
+  EXPECT_EQ(r.iterations, 2);  // the start counts
+  EXPECT_DOUBLE_EQ(r.final_cost, costs[1]);
+  EXPECT_LT(r.final_cost, r.initial_cost);
+  EXPECT_LT(worst_pose(part, c.truth), worst_pose(c.start, c.truth));
+
+  BundleProblem none = c.start;
+  const BundleResult at_once = adjust(none, settings);  // asked before it began
+  EXPECT_TRUE(at_once.ok && at_once.stopped);
+  EXPECT_LT(worst_pose(none, c.start), 1e-12);
+}
+
 TEST(Bundle, RepeatsBitForBitOnOneThread) {
   const Case c = make_case(test::radtan_camera(), 8, 200, 0.3, 6);
   BundleProblem a = c.start, b = c.start;
