@@ -291,8 +291,10 @@ void Backend::Impl::adjust_newest() {
   const int count = intrinsics_settle() || policy.freedom != IntrinsicsFreedom::fixed
                         ? segment_keyframes()
                         : options.window_keyframes;
-  positions.follow(map, segment);
-  lap("backend/positions");
+  if (positions.any()) {
+    positions.follow(map, segment);
+    lap("backend/positions");
+  }
   adjust_window(map, segment_first, count, options, threads, policy);
 }
 
@@ -300,12 +302,7 @@ void Backend::Impl::adjust_newest() {
 void Backend::Impl::straighten_segments() {
   for (int s = 0; s <= newest_segment; ++s) {
     if (positions.place_whole(map, s)) continue;
-    const std::vector<Sim3> moves = positions.straighten(map, s);
-    for (FrameRecord& record : frames) {
-      const Pose& T = record.T_keyframe_frame;
-      const double scale = moves[static_cast<std::size_t>(record.keyframe)].scale();
-      record.T_keyframe_frame = Pose(T.rotation(), scale * T.translation());
-    }
+    move_keyframes(map, frames, positions.straightened(map, s));
     positions.place_whole(map, s);
   }
 }
@@ -368,6 +365,14 @@ Trajectory Backend::trajectory() const {
     trajectory.push_back({record.time_ns, impl_->pose_of(record)});
   }
   return trajectory;
+}
+
+std::vector<int> Backend::trajectory_segments() const {
+  std::vector<int> segments;
+  segments.reserve(impl_->frames.size());
+  for (const FrameRecord& record : impl_->frames)
+    segments.push_back(impl_->map.keyframes[static_cast<std::size_t>(record.keyframe)].segment);
+  return segments;
 }
 
 std::vector<std::pair<std::string, double>> Backend::last_timings_ms() const {

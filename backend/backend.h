@@ -60,10 +60,13 @@ class Backend {
   /// Every frame that has a pose, with all corrections that its reference keyframe got since.
   /// Frames between the two starting keyframes are in it, although their events had no pose.
   [[nodiscard]] Trajectory trajectory() const;
+  /// The map segment of each of its poses.
+  [[nodiscard]] std::vector<int> trajectory_segments() const;
   /// Where each segment lies on Earth, newest knowledge; nothing is metric without positions.
   [[nodiscard]] std::vector<MapPlacement> placements() const;
   /// Wall time of the parts of the last add() that ran: "backend/start", "backend/resect",
-  /// "backend/triangulate", "backend/adjust"; of the last recognise(): "backend/place" [ms].
+  /// "backend/triangulate", "backend/positions" (if there are any), "backend/adjust"; of the last
+  /// recognise(): "backend/place" [ms].
   [[nodiscard]] std::vector<std::pair<std::string, double>> last_timings_ms() const;
 
  private:

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/median.h"
+
 namespace corvid {
 namespace {
 
@@ -23,12 +25,6 @@ double seconds(std::int64_t ns) { return 1e-9 * static_cast<double>(ns); }
 /// a - b without overflow, for times of any clock.
 double difference_s(std::int64_t a, std::int64_t b) {
   return 1e-9 * (static_cast<double>(a) - static_cast<double>(b));
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 }  // namespace
@@ -121,14 +117,16 @@ std::vector<PlacedPoint> MapPositions::points_seen_from(
     }
   }
   if (points.empty()) return points;
-  const Eigen::Vector3d middle_map(median(of_map[0]), median(of_map[1]), median(of_map[2]));
-  const Eigen::Vector3d middle_earth(median(of_earth[0]), median(of_earth[1]), median(of_earth[2]));
+  const Eigen::Vector3d middle_map(upper_median(of_map[0]), upper_median(of_map[1]),
+                                   upper_median(of_map[2]));
+  const Eigen::Vector3d middle_earth(upper_median(of_earth[0]), upper_median(of_earth[1]),
+                                     upper_median(of_earth[2]));
   std::vector<double> extents_map, extents_m;
   for (const PlacedPoint& p : points) {
     extents_map.push_back((p.p_map - middle_map).norm());
     extents_m.push_back((p.p_enu_m - middle_earth).norm());
   }
-  const double extent_map = median(extents_map), extent_m = median(extents_m);
+  const double extent_map = upper_median(extents_map), extent_m = upper_median(extents_m);
   const double rough_scale = extent_map > 0 ? extent_m / extent_map : 0;
   const auto here =
       reference ? std::lower_bound(placed.begin(), placed.end(), *reference) : placed.end();
@@ -242,10 +240,12 @@ bool MapPositions::place_whole(MapData& map, int segment) {
   return a.ok() && a.inliers >= kFits * static_cast<double>(near);
 }
 
-std::vector<Sim3> MapPositions::straighten(MapData& map, int segment) {
-  std::vector<Sim3> moves(map.keyframes.size());
+std::vector<Sim3> MapPositions::straightened(const MapData& map, int segment) {
+  std::vector<Sim3> T_world_keyframe;
+  for (const MapKeyframe& k : map.keyframes)
+    T_world_keyframe.emplace_back(1, k.T_world_camera.rotation(), k.T_world_camera.translation());
   const auto reference = known(segment);
-  if (!reference) return moves;
+  if (!reference) return T_world_keyframe;
   const std::vector<std::size_t> placed = placed_keyframes(map, segment);
   std::vector<std::pair<std::size_t, Sim3>> nodes;
   for (std::size_t i = 0; i < placed.size(); i += kNodeEvery) {
@@ -260,11 +260,10 @@ std::vector<Sim3> MapPositions::straighten(MapData& map, int segment) {
     for (std::size_t k = i; k < std::min(end, i + kNodeEvery); ++k)
       matches_[placed[k]].inlier = a.inlier[k - begin] != 0;
   }
-  if (nodes.empty()) return moves;
+  if (nodes.empty()) return T_world_keyframe;
   std::size_t next = 0;
   for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
-    MapKeyframe& keyframe = map.keyframes[k];
-    if (keyframe.segment != segment) continue;
+    if (map.keyframes[k].segment != segment) continue;
     while (next < nodes.size() && nodes[next].first < k) ++next;
     const auto& [after, T_after] = nodes[std::min(next, nodes.size() - 1)];
     const auto& [before, T_before] = nodes[next > 0 ? next - 1 : 0];
@@ -274,15 +273,10 @@ std::vector<Sim3> MapPositions::straighten(MapData& map, int segment) {
                                           0.0, 1.0)
                              : 0.0;
     const Vector7d step = (T_before.inverse() * T_after).log();
-    moves[k] = reference->inverse() * T_before * Sim3::exp(share * step);
-    keyframe.T_world_camera = moves[k] * keyframe.T_world_camera;
-    keyframe.published = nullptr;
+    T_world_keyframe[k] =
+        reference->inverse() * T_before * Sim3::exp(share * step) * T_world_keyframe[k];
   }
-  for (auto& [id, track] : map.tracks) {
-    if (track.landmark && !track.views.empty())
-      track.p_world = moves[static_cast<std::size_t>(track.views.front().keyframe)] * track.p_world;
-  }
-  return moves;
+  return T_world_keyframe;
 }
 
 std::shared_ptr<const MapPlacement> MapPositions::placement(int segment) const {

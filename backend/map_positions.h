@@ -36,11 +36,13 @@ class MapPositions {
   /// The same over the whole segment, where one similarity fits it; otherwise as follow().
   /// @return false if the map has drifted too far for one similarity.
   bool place_whole(MapData& map, int segment);
-  /// Moves keyframes and landmarks of a segment so that one similarity fits: each by the similarity
-  /// that follow() would have found there, in the frame of the last. A good start for an adjustment
-  /// with positions, not more.
-  /// @return the move of every keyframe of the map.
-  [[nodiscard]] std::vector<Sim3> straighten(MapData& map, int segment);
+  /// Where the keyframes of a segment have to be so that one similarity fits: each moved by the
+  /// similarity that follow() would have found there, in the frame of the last. A good start for an
+  /// adjustment with positions, not more.
+  /// @return for move_keyframes(): of every keyframe of the map; those of other segments stay.
+  [[nodiscard]] std::vector<Sim3> straightened(const MapData& map, int segment);
+  /// Whether any position ever came.
+  [[nodiscard]] bool any() const { return frame_.has_value(); }
   /// A segment became part of another one.
   void forget_segment(int segment) { placements_.erase(segment); }
   /// Null if no position ever came.

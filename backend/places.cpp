@@ -38,18 +38,47 @@ double fitting(const MapData& map, const PlacePose& place, const Pose& T_world_q
   return static_cast<double>(fits) / static_cast<double>(place.inliers.size());
 }
 
-/// Way from one keyframe to another along those of their segment.
+/// Whether anything was followed from one keyframe to the other.
+bool share_tracks(const MapKeyframe& a, const MapKeyframe& b) {
+  return std::any_of(a.tracks.begin(), a.tracks.end(), [&](TrackId id) {
+    return std::binary_search(b.tracks.begin(), b.tracks.end(), id);
+  });
+}
+
+/// Way from one keyframe to another along those of their segment, without the leaps over which
+/// nothing was followed: nobody knows how the camera came there, and no drift grew on it.
 double way_between(const MapData& map, int a, int b) {
   const int segment = map.keyframes[static_cast<std::size_t>(b)].segment;
   double way = 0;
-  const Pose* last = nullptr;
+  const MapKeyframe* last = nullptr;
   for (int k = std::min(a, b); k <= std::max(a, b); ++k) {
     const MapKeyframe& keyframe = map.keyframes[static_cast<std::size_t>(k)];
     if (keyframe.segment != segment) continue;
-    if (last) way += (keyframe.T_world_camera.translation() - last->translation()).norm();
-    last = &keyframe.T_world_camera;
+    if (last && share_tracks(*last, keyframe))
+      way += (keyframe.T_world_camera.translation() - last->T_world_camera.translation()).norm();
+    last = &keyframe;
   }
   return way;
+}
+
+/// Drift of the similarity around the keyframe at which the moved segment hangs, in the other one:
+/// that of the keyframe there, carried over, and what the place's pose adds.
+Drift drift_of_merge(const MapData& map, int query, const PlacePose& place, double scale,
+                     bool query_moves) {
+  const MapKeyframe& reference = map.keyframes[static_cast<std::size_t>(place.reference)];
+  const Pose T_query_reference = place.T_world_query.inverse() * reference.T_world_camera;
+  Vector6d unit = Vector6d::Ones();
+  Drift drift;
+  if (query_moves) {
+    drift = reference.drift.seen_from(T_query_reference.inverse());
+  } else {
+    unit.head<3>() /= scale;  // the place was found in the units of the part that moves
+    drift = map.keyframes[static_cast<std::size_t>(query)].drift;
+  }
+  drift.covariance.topLeftCorner<6, 6>() +=
+      kObservationsPerFact * (unit.asDiagonal() * place.covariance * unit.asDiagonal());
+  if (query_moves) return drift;
+  return drift.seen_from({T_query_reference.rotation(), T_query_reference.translation() / scale});
 }
 
 PlaceOutcome merge(MapData& map, std::vector<FrameRecord>& frames, int query,
@@ -66,11 +95,9 @@ PlaceOutcome merge(MapData& map, std::vector<FrameRecord>& frames, int query,
   outcome.to = std::min(place.segment, keyframe.segment);
   outcome.scale = query_moves ? scale : 1 / scale;
   const int anchor = query_moves ? query : place.reference;
-  const int other = query_moves ? place.reference : query;
-  Drift drift = map.keyframes[static_cast<std::size_t>(other)].drift;
-  drift.covariance.topLeftCorner<6, 6>() += kObservationsPerFact * place.covariance;
   join_segments(map, frames, outcome.from, outcome.to,
-                query_moves ? T_old_own : T_old_own.inverse(), anchor, drift);
+                query_moves ? T_old_own : T_old_own.inverse(), anchor,
+                drift_of_merge(map, query, place, scale, query_moves));
   return outcome;
 }
 

@@ -5,20 +5,11 @@
 #include <map>
 #include <set>
 
+#include "core/check.h"
 #include "corvid/run_result.h"
 
 namespace corvid {
 namespace {
-
-/// Segment of the newest keyframe that is not after `time_ns`.
-int segment_at(const MapSnapshot& map, std::int64_t time_ns) {
-  const auto after = std::upper_bound(
-      map.keyframes.begin(), map.keyframes.end(), time_ns,
-      [](std::int64_t time, const auto& k) { return time < (k->frame ? k->frame->time_ns : 0); });
-  if (map.keyframes.empty()) return 0;
-  return after == map.keyframes.begin() ? map.keyframes.front()->segment
-                                        : (*std::prev(after))->segment;
-}
 
 void place_mesh(TriangleMesh& mesh, const Sim3& T) {
   for (Eigen::Vector3f& v : mesh.vertices) v = (T * v.cast<double>()).cast<float>();
@@ -47,6 +38,8 @@ std::shared_ptr<const MapSnapshot> placed(const MapSnapshot& map, const std::vec
 }  // namespace
 
 bool place_on_earth(RunResult& result) {
+  CORVID_CHECK(result.trajectory_segments.size() == result.trajectory.size(),
+               "a segment for every pose");
   if (!result.map || result.enu_origin) return false;
   std::map<int, int> keyframes;  // of metric segments
   std::set<int> all;
@@ -76,9 +69,9 @@ bool place_on_earth(RunResult& result) {
         fmt::format("The mesh of all segments was placed like segment {}.", main->first));
   }
 
-  for (StampedPose& p : result.trajectory) {
-    const int s = segment_at(*result.map, p.time_ns);
-    p.T_world_camera = T[static_cast<std::size_t>(s)] * p.T_world_camera;
+  for (std::size_t i = 0; i < result.trajectory.size(); ++i) {
+    Pose& T_world_camera = result.trajectory[i].T_world_camera;
+    T_world_camera = T[static_cast<std::size_t>(result.trajectory_segments[i])] * T_world_camera;
   }
   for (DepthMap& d : result.depth_maps) {
     const auto of = std::find_if(result.map->keyframes.begin(), result.map->keyframes.end(),

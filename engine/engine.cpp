@@ -334,6 +334,7 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
   }
   result.map = backend->map();
   result.trajectory = backend->trajectory();
+  result.trajectory_segments = backend->trajectory_segments();
   result.placements = backend->placements();
   result.places = backend->places();
   if (mapper) {

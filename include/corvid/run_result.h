@@ -29,6 +29,7 @@ struct RunResult {
   SourceCounts counts;
   std::vector<PoseEvent> events;  ///< one per frame, as they were published
   Trajectory trajectory;          ///< every frame that has a pose, with all later corrections
+  std::vector<int> trajectory_segments;  ///< the map segment of each of its poses
   std::shared_ptr<const MapSnapshot> map;
   PlaceCounts places;
   std::vector<DepthMap> depth_maps;

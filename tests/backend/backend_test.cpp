@@ -84,6 +84,28 @@ TEST(Backend, SidewaysFlightIsTrackedFromItsFirstFrame) {
   EXPECT_LT(r.ate.rmse(), 0.01);
 }
 
+TEST(Backend, PositionsAreTimedOnlyWhereThereAreAny) {
+  const Flight flight = test::Simulator(sideways()).fly();
+  for (const bool any : {false, true}) {
+    Backend backend({}, IntrinsicsOrigin::calibration, 1);
+    PositionFix fix;
+    fix.time_ns = flight.frames[3].frame->time_ns;
+    fix.covariance_m2 = Eigen::Matrix3d::Identity();
+    if (any) backend.add_positions(std::span(&fix, 1));
+    int adjusted = 0, positioned = 0;
+    for (const FrameTracks& tracks : flight.frames) {
+      (void)backend.add(tracks);
+      for (const auto& [part, ms] : backend.last_timings_ms()) {
+        adjusted += part == "backend/adjust" ? 1 : 0;
+        positioned += part == "backend/positions" ? 1 : 0;
+      }
+    }
+    EXPECT_GT(adjusted, 5);
+    EXPECT_EQ(positioned, any ? adjusted : 0);
+    EXPECT_EQ(backend.trajectory_segments(), std::vector<int>(flight.frames.size(), 0));
+  }
+}
+
 TEST(Backend, AStoppedAdjustmentAtTheEndLeavesAWholeMap) {
   const Flight flight = test::Simulator(sideways()).fly();
   for (const bool asked : {false, true}) {

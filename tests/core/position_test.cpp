@@ -104,6 +104,7 @@ RunResult two_segments() {
     landmark.p_world = {double(i), 1, 0};
     landmarks.push_back(landmark);
     result.trajectory.push_back({frame->time_ns, keyframe->T_world_camera});
+    result.trajectory_segments.push_back(keyframe->segment);
   }
   map->landmarks = Landmarks(landmarks);
   result.map = map;
@@ -143,6 +144,22 @@ TEST(PlaceOnEarth, MovesEverythingOnce) {
   EXPECT_LT((result.mesh.normals[0] - Eigen::Vector3f(0, 0, 1)).norm(), 1e-5F);
   EXPECT_EQ(result.voxel_size, 1);
   ASSERT_EQ(result.notes.size(), 2U) << "the segment without a scale, and the mesh";
+}
+
+TEST(PlaceOnEarth, FramesBeforeASegmentsFirstKeyframeGoWithIt) {
+  RunResult result = two_segments();
+  // Between the last keyframe of the one and the first of the other.
+  result.trajectory.insert(result.trajectory.begin() + 3, {250, Pose()});
+  result.trajectory_segments.insert(result.trajectory_segments.begin() + 3, 1);
+  for (const int s : {0, 1}) {
+    MapPlacement& placement = result.placements[static_cast<std::size_t>(s)];
+    placement.scale = MapScale::metric;
+    placement.T_enu_map = Sim3(1, Eigen::Quaterniond::Identity(), {0, 100.0 * s, 0});
+  }
+  ASSERT_TRUE(place_on_earth(result));
+  EXPECT_EQ(result.trajectory[2].T_world_camera.translation().y(), 0);
+  EXPECT_EQ(result.trajectory[3].T_world_camera.translation().y(), 100);
+  EXPECT_EQ(result.trajectory[4].T_world_camera.translation().y(), 100);
 }
 
 }  // namespace
