@@ -3,17 +3,18 @@
 #include <ceres/iteration_callback.h>
 #include <ceres/loss_function.h>
 #include <ceres/problem.h>
-#include <ceres/solver.h>
 
 #include <algorithm>
 #include <cmath>
 #include <deque>
 #include <memory>
+#include <utility>
 
+#include "backend/ceres_solve.h"
 #include "backend/costs/position.h"
 #include "backend/costs/reprojection.h"
-#include "backend/quiet_ceres.h"
 #include "core/check.h"
+#include "core/median.h"
 
 namespace corvid {
 namespace {
@@ -24,9 +25,7 @@ double median_sigma(const std::vector<BundleObservation>& observations) {
   std::vector<double> sigmas;
   sigmas.reserve(observations.size());
   for (const BundleObservation& o : observations) sigmas.push_back(o.sigma_px);
-  const auto middle = sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2);
-  std::nth_element(sigmas.begin(), middle, sigmas.end());
-  return *middle;
+  return upper_median(std::move(sigmas));
 }
 
 /// One over the prior's standard deviations: a tenth of the focal length, a fiftieth of it for the
@@ -64,9 +63,7 @@ double error_factor(const BundleProblem& problem) {
     if (pixel) squares.push_back((*pixel - o.pixel).squaredNorm() / (o.sigma_px * o.sigma_px));
   }
   if (squares.empty()) return 1;
-  const auto middle = squares.begin() + static_cast<std::ptrdiff_t>(squares.size() / 2);
-  std::nth_element(squares.begin(), middle, squares.end());
-  return std::max(0.5, std::sqrt(*middle / (2 * std::log(2.0))));
+  return std::max(0.5, std::sqrt(upper_median(std::move(squares)) / (2 * std::log(2.0))));
 }
 
 /// Tells how far the solver is, and stops it when asked to.
@@ -85,11 +82,9 @@ class IterationWatch final : public ceres::IterationCallback {
 
 }  // namespace
 
-BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
+SolveResult adjust(BundleProblem& problem, const BundleSettings& settings) {
   CORVID_CHECK(problem.fixed.size() == problem.T_world_camera.size(), "one flag per pose");
-  BundleResult result;
-  silence_glog();
-  if (problem.observations.empty()) return result;
+  if (problem.observations.empty()) return {};
 
   std::vector<PoseBlock> poses;
   poses.reserve(problem.T_world_camera.size());
@@ -179,27 +174,16 @@ BundleResult adjust(BundleProblem& problem, const BundleSettings& settings) {
     ceres_problem.AddResidualBlock(&positions.back(), &position_loss, pose);
   }
 
-  ceres::Solver::Options solver;
-  // Eigen: Debian's SuiteSparse has parts under the GPL.
-  solver.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+  ceres::Solver::Options solver =
+      solver_options(settings.max_iterations, settings.cost_tolerance, settings.threads);
   solver.linear_solver_type = free_poses <= kDenseLimit ? ceres::DENSE_SCHUR : ceres::SPARSE_SCHUR;
   solver.linear_solver_ordering = ordering;
-  solver.max_num_iterations = settings.max_iterations;
-  solver.num_threads = std::max(1, settings.threads);
-  solver.function_tolerance = settings.cost_tolerance;
   solver.parameter_tolerance = 1e-9;
   solver.initial_trust_region_radius = 1e5;
-  solver.logging_type = ceres::SILENT;
   IterationWatch watch(settings);
   solver.callbacks.push_back(&watch);
-  ceres::Solver::Summary summary;
-  ceres::Solve(solver, &ceres_problem, &summary);
-
-  result.stopped = summary.termination_type == ceres::USER_SUCCESS;
-  result.iterations = static_cast<int>(summary.iterations.size());
-  result.initial_cost = summary.initial_cost;
-  result.final_cost = summary.final_cost;
-  if (!summary.IsSolutionUsable() || !(summary.final_cost <= summary.initial_cost)) return result;
+  SolveResult result = solve(solver, ceres_problem);
+  if (!std::exchange(result.ok, false)) return result;
   for (const auto& block : poses) {
     if (!std::all_of(block.begin(), block.end(), [](double v) { return std::isfinite(v); })) {
       return result;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "backend/intrinsics.h"
+#include "backend/solve_result.h"
 #include "corvid/camera.h"
 #include "corvid/pose.h"
 
@@ -53,19 +54,12 @@ struct BundleSettings {
   std::function<void(int iteration, double cost)> on_iteration;
 };
 
-struct BundleResult {
-  bool ok = false;       ///< the solver found finite values that are no worse
-  bool stopped = false;  ///< asked to stop before it had converged; what was reached counts
-  int iterations = 0;
-  double initial_cost = 0, final_cost = 0;
-};
-
 /// Bundle adjustment (algorithms.md, 6): minimises the sum of Huber(|e| * s / sigma), e the
 /// reprojection error [px] in the distorted image and s the median sigma, over the free poses and
 /// all points, by Levenberg-Marquardt on the Schur complement (Ceres). The Huber width is thus in
 /// pixels of a typical observation. Positions count with their whitened distance, in units of the
 /// variance factor of the observations as they begin, and a Huber width of four standard
 /// deviations. Nothing is changed if it fails. Deterministic if threads == 1.
-BundleResult adjust(BundleProblem& problem, const BundleSettings& settings);
+SolveResult adjust(BundleProblem& problem, const BundleSettings& settings);
 
 }  // namespace corvid

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/check.h"
+#include "core/median.h"
 
 namespace corvid {
 namespace {
@@ -177,9 +178,7 @@ DriftLink drift_link(const BundleProblem& problem, int anchor, int newest, doubl
     sigmas.push_back(o.sigma_px);
     of_point[static_cast<std::size_t>(o.point)].push_back(&o);
   }
-  const auto middle = sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2);
-  std::nth_element(sigmas.begin(), middle, sigmas.end());
-  const double huber_sigmas = huber_px / *middle;
+  const double huber_sigmas = huber_px / upper_median(std::move(sigmas));
 
   std::vector<int> column(poses, -1);
   int free = 0;

@@ -49,7 +49,8 @@ void MapPositions::add(std::span<const PositionFix> fixes) {
 
 // Between two fixes the path is a straight line; what an accelerated camera deviates from it,
 // a/2 (t - t0) (t1 - t), is noise. Keyframes that share a fix share its weight.
-std::optional<MapPositions::Fix> MapPositions::at(const StoredFrame& frame, double since_last_s) const {
+std::optional<MapPositions::Fix> MapPositions::at(const StoredFrame& frame,
+                                                  double since_last_s) const {
   if (const auto named = by_name_.find(frame.name); named != by_name_.end() && !frame.name.empty())
     return named->second;
   const auto after =

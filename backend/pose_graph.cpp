@@ -3,7 +3,6 @@
 #include <ceres/manifold.h>
 #include <ceres/problem.h>
 #include <ceres/sized_cost_function.h>
-#include <ceres/solver.h>
 
 #include <algorithm>
 #include <array>
@@ -11,7 +10,7 @@
 #include <deque>
 #include <utility>
 
-#include "backend/quiet_ceres.h"
+#include "backend/ceres_solve.h"
 #include "core/check.h"
 
 namespace corvid {
@@ -159,15 +158,13 @@ void edge_jacobians(const Sim3& T_a_b, const Sim3& T_world_a, const Sim3& T_worl
   *d_a = -*d_b * adjoint(T_world_b.inverse() * T_world_a);
 }
 
-PoseGraphResult optimise(PoseGraph& graph, int max_iterations, int threads) {
+SolveResult optimise(PoseGraph& graph, int max_iterations, int threads) {
   CORVID_CHECK(graph.fixed.size() == graph.T_world_node.size(), "one flag per node");
   const int size = static_cast<int>(graph.T_world_node.size());
   for (const PoseGraphEdge& e : graph.edges)
     CORVID_CHECK(e.a >= 0 && e.a < size && e.b >= 0 && e.b < size, "no such node");
-  PoseGraphResult result;
-  silence_glog();
   for (const Sim3& S : graph.T_world_node)
-    if (!finite(S)) return result;
+    if (!finite(S)) return {};
   std::vector<Sim3Block> blocks;
   blocks.reserve(graph.T_world_node.size());
   for (const Sim3& S : graph.T_world_node) blocks.push_back(to_block(S));
@@ -185,27 +182,19 @@ PoseGraphResult optimise(PoseGraph& graph, int max_iterations, int threads) {
     costs.emplace_back(e);
     problem.AddResidualBlock(&costs.back(), nullptr, blocks[a].data(), blocks[b].data());
   }
-  if (costs.empty()) return result;
+  if (costs.empty()) return {};
   for (std::size_t i = 0; i < blocks.size(); ++i) {
     if (!problem.HasParameterBlock(blocks[i].data())) continue;
     problem.SetManifold(blocks[i].data(), &manifold);
     if (graph.fixed[i] != 0) problem.SetParameterBlockConstant(blocks[i].data());
   }
 
-  ceres::Solver::Options solver;
-  solver.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+  constexpr double kCostTolerance = 1e-6;
+  ceres::Solver::Options solver = solver_options(max_iterations, kCostTolerance, threads);
   solver.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-  solver.max_num_iterations = max_iterations;
-  solver.num_threads = std::max(1, threads);
-  solver.function_tolerance = 1e-6;
   solver.initial_trust_region_radius = 1e8;
-  solver.logging_type = ceres::SILENT;
-  ceres::Solver::Summary summary;
-  ceres::Solve(solver, &problem, &summary);
-  result.iterations = static_cast<int>(summary.iterations.size());
-  result.initial_cost = summary.initial_cost;
-  result.final_cost = summary.final_cost;
-  if (!summary.IsSolutionUsable() || !(summary.final_cost <= summary.initial_cost)) return result;
+  SolveResult result = solve(solver, problem);
+  if (!std::exchange(result.ok, false)) return result;
   std::vector<Sim3> moved;
   for (const Sim3Block& block : blocks) {
     moved.push_back(from_block(block.data()));

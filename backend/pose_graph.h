@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "backend/solve_result.h"
 #include "corvid/pose.h"
 
 namespace corvid {
@@ -25,12 +26,6 @@ struct PoseGraph {
   std::vector<PoseGraphEdge> edges;
 };
 
-struct PoseGraphResult {
-  bool ok = false;  ///< the solver found finite values that are no worse
-  int iterations = 0;
-  double initial_cost = 0, final_cost = 0;
-};
-
 /// Error of an edge, in tangent coordinates (rho, phi, sigma): log(T_a_b^-1 T_world_a^-1
 /// T_world_b).
 [[nodiscard]] Vector7d edge_error(const Sim3& T_a_b, const Sim3& T_world_a, const Sim3& T_world_b);
@@ -44,6 +39,6 @@ void edge_jacobians(const Sim3& T_a_b, const Sim3& T_world_a, const Sim3& T_worl
 /// (Levenberg-Marquardt, sparse Cholesky; Ceres). Nodes without a path of edges to a fixed one stay
 /// where they are. Edges that are not finite, or whose sigma is not positive, are passed over.
 /// Nothing is changed if it fails. Deterministic if threads == 1.
-PoseGraphResult optimise(PoseGraph& graph, int max_iterations, int threads);
+SolveResult optimise(PoseGraph& graph, int max_iterations, int threads);
 
 }  // namespace corvid

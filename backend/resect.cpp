@@ -7,6 +7,9 @@
 #include <limits>
 #include <opencv2/calib3d.hpp>
 #include <random>
+#include <utility>
+
+#include "core/median.h"
 
 namespace corvid {
 namespace {
@@ -202,9 +205,7 @@ Resection resect(const Camera& camera, std::span<const PointView> points,
   std::vector<double> sigmas;
   sigmas.reserve(points.size());
   for (const PointView& p : points) sigmas.push_back(p.sigma_px);
-  const auto middle = sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2);
-  std::nth_element(sigmas.begin(), middle, sigmas.end());
-  const double sigma_ref_px = *middle;
+  const double sigma_ref_px = upper_median(std::move(sigmas));
 
   if (predicted && predicted->finite()) {
     best = refine(camera, points, *predicted, settings, sigma_ref_px);

@@ -198,7 +198,7 @@ bool explains_more(BundleProblem& problem, const BundleSettings& settings) {
   const double unknowns = 6.0 * static_cast<double>(problem.T_world_camera.size()) +
                           3.0 * static_cast<double>(problem.points.size());
   const double rows = 2.0 * static_cast<double>(problem.observations.size());
-  const BundleResult r = adjust(problem, settings);
+  const SolveResult r = adjust(problem, settings);
   if (r.stopped) return false;
   const double explained = r.initial_cost - r.final_cost;
   // Likelihood ratio of the two models: chi-square with as many degrees of freedom as intrinsics
@@ -212,7 +212,7 @@ bool adjust_part(BundleProblem& problem, const BundleSettings& settings) {
   BundleSettings sure = settings;
   if (settings.freedom == IntrinsicsFreedom::radial) sure.freedom = IntrinsicsFreedom::fixed;
   if (settings.freedom == IntrinsicsFreedom::all) sure.freedom = IntrinsicsFreedom::focal;
-  const BundleResult r = adjust(problem, sure);
+  const SolveResult r = adjust(problem, sure);
   if (!r.ok) return false;
   if (r.stopped || sure.freedom == settings.freedom) return true;
   BundleProblem freed = problem;

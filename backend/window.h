@@ -19,8 +19,8 @@ struct IntrinsicsPolicy {
 /// then drops observations and landmarks that do not fit. A track whose newest observation is
 /// dropped is dead. Also estimates the newest keyframe's covariance.
 ///
-/// Older keyframes that see these landmarks are held fixed: the choice against marginalising them
-/// is made in this function and nowhere else.
+/// Older keyframes that see these landmarks are held fixed, not marginalized: measured,
+/// docs/decisions/window-past.md.
 /// @param first  position of the segment's first keyframe, which is never moved.
 /// @param count  keyframes that move.
 /// @return whether anything was adjusted.

@@ -3,7 +3,6 @@
 #include <benchmark/benchmark.h>
 #include <ceres/loss_function.h>
 #include <ceres/problem.h>
-#include <ceres/solver.h>
 
 #include <cmath>
 #include <memory>
@@ -11,8 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "backend/ceres_solve.h"
 #include "backend/costs/reprojection.h"
-#include "backend/quiet_ceres.h"
 #include "bench/micro/automatic_reprojection.h"
 
 namespace corvid {
@@ -119,7 +118,6 @@ void evaluation(benchmark::State& state, CameraModel model, bool intrinsics) {
 /// Half of the poses move; four iterations, so that both ways do the same work.
 template <class Way>
 void window(benchmark::State& state, CameraModel model, bool intrinsics) {
-  silence_glog();
   const Scene scene = make_scene(model, 20, 1000);
   double cost = 0;
   for (auto _ : state) {
@@ -134,7 +132,7 @@ void window(benchmark::State& state, CameraModel model, bool intrinsics) {
     options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
     options.disable_all_safety_checks = true;
     ceres::Problem problem(options);
-    ceres::Solver::Options solver;
+    ceres::Solver::Options solver = solver_options(4, 0, 1);
     solver.linear_solver_ordering = std::make_shared<ceres::ParameterBlockOrdering>();
     for (std::size_t i = 0; i < s.poses.size(); ++i) {
       problem.AddParameterBlock(s.poses[i].data(), 7, &manifold);
@@ -150,14 +148,9 @@ void window(benchmark::State& state, CameraModel model, bool intrinsics) {
     }
     if (intrinsics) solver.linear_solver_ordering->AddElementToGroup(k.data(), 1);
     solver.linear_solver_type = ceres::DENSE_SCHUR;
-    solver.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
-    solver.max_num_iterations = 4;
-    solver.function_tolerance = solver.gradient_tolerance = solver.parameter_tolerance = 0;
+    solver.gradient_tolerance = solver.parameter_tolerance = 0;
     solver.initial_trust_region_radius = 1e5;
-    solver.logging_type = ceres::SILENT;
-    ceres::Solver::Summary summary;
-    ceres::Solve(solver, &problem, &summary);
-    cost = summary.final_cost;
+    cost = solve(solver, problem).final_cost;
   }
   state.counters["views"] = static_cast<double>(scene.views.size());
   state.counters["final_cost"] = cost;

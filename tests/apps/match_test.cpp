@@ -21,6 +21,7 @@
 #include "io/image_file.h"
 #include "program_fixture.h"
 #include "replay/synthetic_flight.h"
+#include "scenes/flight_of.h"
 
 namespace corvid {
 namespace {
@@ -45,11 +46,8 @@ class MatchTest : public ProgramTest {
  protected:
   // kFlight's frames as files, with their camera.
   void write_frames() {
-    FlightOptions options;
-    options.width_px = 376;
-    options.height_px = 240;
+    FlightOptions options = scenes::flight_of(376, 240, 0.5);
     options.seed = 3;
-    options.duration_s = 0.5;
     flight_ = std::make_unique<SyntheticFlight>(options);
     for (const int i : {kReference, kTarget, kAuxiliary}) {
       write(fmt::format("{}.png", i),

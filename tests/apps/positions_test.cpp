@@ -12,6 +12,7 @@
 #include "io/trajectory_file.h"
 #include "program_fixture.h"
 #include "replay/synthetic_flight.h"
+#include "scenes/flight_of.h"
 
 namespace corvid {
 namespace {
@@ -25,10 +26,7 @@ constexpr const char* kFlight =
     "synthetic:width=320,height=240,duration=8,rate=20,seed=2,path=orbit,speed=12";
 
 SyntheticFlight flight() {
-  FlightOptions options;
-  options.width_px = 320;
-  options.height_px = 240;
-  options.duration_s = 8;
+  FlightOptions options = scenes::flight_of(320, 240, 8);
   options.seed = 2;
   options.path = FlightPath::orbit;
   options.speed_mps = 12;

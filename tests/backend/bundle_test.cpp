@@ -29,7 +29,7 @@ TEST(Bundle, RecoversTheExactSceneForEveryCameraModel) {
     Case c = make_case(camera, 6, 150, 0, 1);
     BundleSettings settings;
     settings.max_iterations = 50;
-    const BundleResult r = adjust(c.start, settings);
+    const SolveResult r = adjust(c.start, settings);
     ASSERT_TRUE(r.ok);
     EXPECT_LT(r.final_cost, 1e-6 * r.initial_cost);
     EXPECT_LT(worst_pose(c.start, c.truth), 1e-4);
@@ -118,7 +118,7 @@ TEST(Bundle, AStopKeepsWhatWasReached) {
   std::vector<double> costs;
   settings.on_iteration = [&](int, double cost) { costs.push_back(cost); };
   BundleProblem whole = c.start;
-  const BundleResult end = adjust(whole, settings);
+  const SolveResult end = adjust(whole, settings);
   ASSERT_TRUE(end.ok);
   EXPECT_FALSE(end.stopped);
   ASSERT_GT(costs.size(), 3U);
@@ -131,7 +131,7 @@ TEST(Bundle, AStopKeepsWhatWasReached) {
     if (iteration == 1) stop.request_stop();
   };
   BundleProblem part = c.start;
-  const BundleResult r = adjust(part, settings);
+  const SolveResult r = adjust(part, settings);
   EXPECT_TRUE(r.ok && r.stopped);
   EXPECT_EQ(r.iterations, 2);  // the start counts
   EXPECT_DOUBLE_EQ(r.final_cost, costs[1]);
@@ -139,7 +139,7 @@ TEST(Bundle, AStopKeepsWhatWasReached) {
   EXPECT_LT(worst_pose(part, c.truth), worst_pose(c.start, c.truth));
 
   BundleProblem none = c.start;
-  const BundleResult at_once = adjust(none, settings);  // asked before it began
+  const SolveResult at_once = adjust(none, settings);  // asked before it began
   EXPECT_TRUE(at_once.ok && at_once.stopped);
   EXPECT_LT(worst_pose(none, c.start), 1e-12);
 }

@@ -74,7 +74,7 @@ TEST(PoseGraph, ACircleThatDriftsCloses) {
   ASSERT_GT(before_end, 1.0);
   ASSERT_GT(std::abs(circle.graph.T_world_node.back().scale() - 1), 0.05);
   circle.graph.edges.push_back({0, kNodes, Sim3(), 1e-4, 1e-4, 1e-4});
-  const PoseGraphResult result = optimise(circle.graph, 50, 1);
+  const SolveResult result = optimise(circle.graph, 50, 1);
   EXPECT_TRUE(result.ok);
   EXPECT_LT(result.final_cost, 0.1 * result.initial_cost);
   EXPECT_LT(circle.error(kNodes), 1e-3);

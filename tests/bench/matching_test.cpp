@@ -15,6 +15,7 @@
 #include "bench/matching/tally.h"
 #include "frontend/epipolar.h"
 #include "replay/synthetic_flight.h"
+#include "scenes/flight_of.h"
 
 namespace corvid {
 namespace {
@@ -234,11 +235,8 @@ TEST(Reconstruct, NothingComesOfNothing) {
 }
 
 FlightOptions flight_options() {
-  FlightOptions options;
-  options.width_px = 480;
-  options.height_px = 320;
+  FlightOptions options = scenes::flight_of(480, 320, 0.75);
   options.rate_hz = 4;
-  options.duration_s = 0.75;
   options.colour = false;
   return options;
 }

@@ -6,6 +6,7 @@
 #include "core/geodesy.h"
 #include "corvid/engine.h"
 #include "replay/synthetic_flight.h"
+#include "scenes/flight_of.h"
 
 namespace corvid {
 namespace {
@@ -13,17 +14,9 @@ namespace {
 constexpr double kSigma_m = 0.05;
 const GeodeticPosition kOrigin{0.82, 0.15, 430};
 
-FlightOptions flight_options() {
-  FlightOptions options;
-  options.width_px = 400;
-  options.height_px = 300;
-  options.duration_s = 4;
-  return options;
-}
-
 /// The flight, rendered once.
 struct Rendered {
-  SyntheticFlight flight{flight_options()};
+  SyntheticFlight flight{scenes::flight_of(400, 300, 4)};
   std::vector<FramePtr> frames;
   Rendered() {
     for (std::size_t i = 0; i < flight.frame_count(); ++i) frames.push_back(flight.render(i));

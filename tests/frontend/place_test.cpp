@@ -68,11 +68,20 @@ TEST(PlaceIndex, RanksAndKeepsApart) {
   EXPECT_NE(index.rank(query, usable, 1, 1).at(0).position, 4U);
 }
 
+SyntheticFlight flight_of(double duration_s) {
+  FlightOptions options = test::small_flight();
+  options.duration_s = duration_s;
+  return SyntheticFlight(options);
+}
+
 /// Keyframes of a flight with points of a grid as landmarks.
 struct TrueMap {
   MapSnapshot map;
   std::vector<Pose> poses;
 
+  TrueMap(const SyntheticFlight& flight, std::size_t keyframes, std::size_t step = 12) {
+    for (std::size_t i = 0; i < keyframes; ++i) add(flight, step * i);
+  }
   void add(const SyntheticFlight& flight, std::size_t frame) {
     auto keyframe = std::make_shared<Keyframe>();
     keyframe->id = KeyframeId(static_cast<std::uint32_t>(map.keyframes.size()));
@@ -128,11 +137,8 @@ double right_share(const SyntheticFlight& flight, const TrueMap& map,
 }
 
 TEST(PlaceFinder, APlaceSeenFromBesideIsFoundExactly) {
-  FlightOptions options = test::small_flight();
-  options.duration_s = 20;
-  const SyntheticFlight flight(options);
-  TrueMap map;
-  for (std::size_t i = 0; i < 8; ++i) map.add(flight, 12 * i);
+  const SyntheticFlight flight = flight_of(20);
+  const TrueMap map(flight, 8);
   // 3 m to the side, turned by 9 degrees and tilted.
   const Pose T =
       flight.true_pose(50) * Pose(so3_exp({0.04, -0.05, 0.16}), Eigen::Vector3d(3, 0.5, -1));
@@ -149,11 +155,8 @@ TEST(PlaceFinder, APlaceSeenFromBesideIsFoundExactly) {
 }
 
 TEST(PlaceFinder, AnotherPlaceIsNotFound) {
-  FlightOptions options = test::small_flight();
-  options.duration_s = 60;
-  const SyntheticFlight flight(options);
-  TrueMap map;
-  for (std::size_t i = 0; i < 6; ++i) map.add(flight, 12 * i);
+  const SyntheticFlight flight = flight_of(60);
+  const TrueMap map(flight, 6);
   auto places = finder();
   for (const std::size_t frame : {400U, 700U, 1000U}) {
     const PlaceSearch search = places->find(query_of(flight.render(frame)), map.map);
@@ -176,8 +179,7 @@ TEST(PlaceFinder, WindowsThatAreAllAlikeAreNotTakenForEachOther) {
   options.path = FlightPath::facade;
   options.duration_s = 40;
   const SyntheticFlight flight(options);
-  TrueMap map;
-  for (std::size_t i = 0; i < 6; ++i) map.add(flight, 20 * i);
+  const TrueMap map(flight, 6, 20);
   auto places = finder();
   int found = 0;
   for (const std::size_t frame : {30U, 90U, 300U, 420U, 560U, 700U}) {
@@ -194,10 +196,8 @@ TEST(PlaceFinder, WindowsThatAreAllAlikeAreNotTakenForEachOther) {
 }
 
 TEST(PlaceFinder, WhatTheTracksKnowIsNoNews) {
-  FlightOptions options = test::small_flight();
-  const SyntheticFlight flight(options);
-  TrueMap map;
-  for (std::size_t i = 0; i < 3; ++i) map.add(flight, 12 * i);
+  const SyntheticFlight flight(test::small_flight());
+  const TrueMap map(flight, 3);
   FrameTracks query = query_of(flight.render(20));
   for (std::uint32_t i = 0; i < 40; ++i) query.observations.push_back({TrackId(i)});
   EXPECT_TRUE(finder()->find(query, map.map).match.references.empty());
