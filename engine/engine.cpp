@@ -327,8 +327,8 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
     if (!backend->finish(stop)) {
       interrupted = true;
       result.notes.emplace_back(
-          "The adjustment of the whole map was stopped before its end: the poses are better than "
-          "in flight, and not yet as good as they can be.");
+          "The adjustment of the whole map was stopped before its end: the poses are what it had "
+          "reached by then.");
     }
     metrics.add("backend/finish", watch.lap_ms());
   }
