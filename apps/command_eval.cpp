@@ -89,6 +89,8 @@ void print_json(const Arguments& arguments, const TrajectoryErrors& e, std::ostr
                         {"scale_drift", e.scale_drift ? Json(*e.scale_drift) : Json()},
                         {"ate_m", statistics_json(e.position_m)},
                         {"orientation_deg", statistics_json(e.orientation_deg)},
+                        {"orientation_constant_deg", e.orientation_constant_deg},
+                        {"orientation_rest_deg", e.orientation_rest_deg},
                         {"rpe_delta_frames", arguments.options.rpe_delta_frames},
                         {"rpe_translation_m", statistics_json(e.rpe_translation_m)},
                         {"rpe_rotation_deg", statistics_json(e.rpe_rotation_deg)},
@@ -114,6 +116,8 @@ void print_text(const Arguments& arguments, const TrajectoryErrors& e, std::ostr
                      "90 %", "largest");
   row("ATE", e.position_m, "m");
   row("orientation", e.orientation_deg, "deg");
+  out << fmt::format("  of which       {:.4f} deg never change, without them the rmse is {:.4f}\n",
+                     e.orientation_constant_deg, e.orientation_rest_deg);
   const int delta = arguments.options.rpe_delta_frames;
   const std::string per = delta == 1 ? "pose" : fmt::format("{} poses", delta);
   row("RPE translation", e.rpe_translation_m, "m per " + per);

@@ -125,9 +125,8 @@ void add_segment_errors(TrajectoryErrors& out) {
 }
 
 /// A rotation between the two camera frames that never changes is a matter of definitions (the
-/// truth is often of an IMU): worth a note, since it swamps the orientation error.
-void note_constant_rotation(TrajectoryErrors& out) {
-  if (out.orientation_deg.rmse < 5) return;
+/// truth is often of an IMU); a large one is worth a note, since it swamps the orientation error.
+void split_orientation(TrajectoryErrors& out) {
   Eigen::Matrix4d sum = Eigen::Matrix4d::Zero();  // its first eigenvector is the mean rotation
   for (const PosePair& p : out.poses) {
     const Eigen::Vector4d q = (p.estimate.rotation().conjugate() * p.truth.rotation()).coeffs();
@@ -140,12 +139,14 @@ void note_constant_rotation(TrajectoryErrors& out) {
     const double a = angle_deg((p.estimate.rotation() * mean).conjugate() * p.truth.rotation());
     squares += a * a;
   }
-  const double rest_deg = std::sqrt(squares / static_cast<double>(out.poses.size()));
-  if (rest_deg > 0.25 * out.orientation_deg.rmse) return;
+  out.orientation_constant_deg = angle_deg(mean);
+  out.orientation_rest_deg = std::sqrt(squares / static_cast<double>(out.poses.size()));
+  if (out.orientation_deg.rmse < 5 || out.orientation_rest_deg > 0.25 * out.orientation_deg.rmse)
+    return;
   out.notes.push_back(
       fmt::format("the orientations differ by a constant {:.1f} deg (without it {:.2f} deg rmse): "
                   "the truth is probably of another body frame than the camera's",
-                  angle_deg(mean), rest_deg));
+                  out.orientation_constant_deg, out.orientation_rest_deg));
 }
 
 }  // namespace
@@ -213,7 +214,7 @@ TrajectoryErrors evaluate(const Trajectory& estimate, const Trajectory& truth,
   out.poses = std::move(pairs);
   out.position_m = statistics(out.position_errors_m);
   out.orientation_deg = statistics(out.orientation_errors_deg);
-  note_constant_rotation(out);
+  split_orientation(out);
   add_relative_errors(options.rpe_delta_frames, out);
   add_segment_errors(out);
   return out;

@@ -61,6 +61,9 @@ struct TrajectoryErrors {
 
   Statistics position_m;         ///< absolute trajectory error, after alignment
   Statistics orientation_deg;    ///< after alignment
+  /// The part of it that never changes, in the camera's frame, and the rms of the rest: no images
+  /// can tell a constant rotation between the camera and the sensor that measured the truth.
+  double orientation_constant_deg = 0, orientation_rest_deg = 0;
   Statistics rpe_translation_m;  ///< relative pose error per rpe_delta_frames, after alignment
   Statistics rpe_rotation_deg;
   SegmentErrors kitti;

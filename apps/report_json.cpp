@@ -61,6 +61,8 @@ Json trajectory_errors_of(const TrajectoryErrors& e) {
   out["scale_drift"] = e.scale_drift ? Json(*e.scale_drift) : Json(nullptr);
   out["ate_m"] = of(e.position_m);
   out["orientation_deg"] = of(e.orientation_deg);
+  out["orientation_constant_deg"] = e.orientation_constant_deg;
+  out["orientation_rest_deg"] = e.orientation_rest_deg;
   out["rpe_translation_m"] = of(e.rpe_translation_m);
   out["rpe_rotation_deg"] = of(e.rpe_rotation_deg);
   out["kitti"] = {{"segments", e.kitti.segments},

@@ -140,6 +140,20 @@ TEST(Evaluate, NotesThatTheTruthIsOfAnotherBodyFrame) {
   EXPECT_TRUE(has_note(e, "constant 90.0 deg"));
 }
 
+TEST(Evaluate, TellsAConstantRotationFromTheRest) {
+  const Trajectory truth = curved(100);
+  Trajectory estimate = truth;
+  for (std::size_t i = 0; i < estimate.size(); ++i) {
+    Pose& T = estimate[i].T_world_camera;
+    T = Pose(T.rotation() * yaw(i % 2 == 0 ? 1.3 : 0.7), T.translation());
+  }
+  const TrajectoryErrors e = evaluate(estimate, truth);
+  EXPECT_NEAR(e.orientation_deg.rmse, std::sqrt(1.09), 1e-6);
+  EXPECT_NEAR(e.orientation_constant_deg, 1, 1e-6);
+  EXPECT_NEAR(e.orientation_rest_deg, 0.3, 1e-6);
+  EXPECT_FALSE(has_note(e, "constant"));
+}
+
 TEST(Evaluate, KnownRelativeErrors) {
   const TrajectoryErrors e =
       evaluate(straight(50, 1.01, 0.1), straight(50), mode(AlignmentMode::none));
