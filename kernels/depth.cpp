@@ -12,13 +12,17 @@
 namespace corvid {
 namespace {
 
-constexpr int kPadding = 16;   // PAD of depth.cl
-constexpr int kBandRows = 16;  ///< of a refinement launch on a CPU
+constexpr int kPadding = 16;  // PAD of depth.cl
+constexpr int kStrip = 160;   // STRIP * VEC of depth.cl
+constexpr int kTileX = 32, kTileY = 8;
+/// Scores of a launch on a CPU, so that the device is free for tracking every few milliseconds.
+constexpr double kSliceScores = 1e6;
+constexpr int kFirstReach = 3;  ///< samples to either side in the first pass around the surface
 constexpr int kMaxTemplate_px = 2 * kPadding - 1;
 
 int round_up(int n, int step) { return (n + step - 1) / step * step; }
 int row_length(int width_px) { return round_up(width_px, kPadding); }
-int pitch_of(int width_px) { return row_length(width_px) + 2 * kPadding; }
+int pitch_of(int width_px) { return row_length(width_px) + 3 * kPadding; }
 
 std::size_t area(int width, int height) {
   return static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
@@ -47,24 +51,23 @@ std::string weight_list(int side) {
 }
 
 /// A (row by row) and b of depth.cl: x' ~ A (x, y, 1)' + b r.
-void append_geometry(const Camera& reference, const SweepNeighbour& neighbour,
-                     std::vector<float>& out) {
-  const Eigen::Matrix3d K = neighbour.camera.K();
-  const Eigen::Matrix3d A = K * neighbour.T_neighbour_reference.R() * reference.K().inverse();
-  const Eigen::Vector3d b = K * neighbour.T_neighbour_reference.translation();
+void append_geometry(const Camera& reference, const Camera& neighbour,
+                     const Pose& T_neighbour_reference, std::vector<float>& out) {
+  const Eigen::Matrix3d K = neighbour.K();
+  const Eigen::Matrix3d A = K * T_neighbour_reference.R() * reference.K().inverse();
+  const Eigen::Vector3d b = K * T_neighbour_reference.translation();
   for (int i = 0; i < 9; ++i) out.push_back(static_cast<float>(A(i / 3, i % 3)));
   for (int i = 0; i < 3; ++i) out.push_back(static_cast<float>(b(i)));
 }
 
-/// One work-item per group of pixels. Few work-group shapes: PoCL compiles a kernel again for each.
-void launch(const Device& device, Lane lane, const cl::Kernel& kernel, int groups, int rows,
-            int planes = 1, int first_row = 0) {
+/// One work-item per vector of pixels. Few work-group shapes: PoCL compiles a kernel again for
+/// each.
+void launch(const Device& device, Lane lane, const cl::Kernel& kernel, int vectors, int rows) {
   const int x = device.info().gpu ? 32 : 8, y = device.info().gpu ? 8 : 1;
   const auto size = [](int n) { return static_cast<cl::size_type>(n); };
   device.queue(lane).enqueueNDRangeKernel(
-      kernel, cl::NDRange(0, size(first_row), 0),
-      cl::NDRange(size(round_up(groups, x)), size(round_up(rows, y)), size(planes)),
-      cl::NDRange(size(x), size(y), 1));
+      kernel, cl::NullRange, cl::NDRange(size(round_up(vectors, x)), size(round_up(rows, y))),
+      cl::NDRange(size(x), size(y)));
 }
 
 }  // namespace
@@ -92,12 +95,10 @@ Expected<DepthSweeper> DepthSweeper::create(std::shared_ptr<Device> device,
   return opening_on_device(*device, [&] {
     const auto kernel = [&](const char* name) { return cl::Kernel(*program, name); };
     DepthSweeper sweeper(device, options,
-                         Kernels{kernel("shrink"), kernel("reference_sums"), kernel("warp_planes"),
-                                 kernel("sum_rows"), kernel("score_planes"), kernel("find_peaks"),
-                                 kernel("refine")});
+                         Kernels{kernel("shrink"), kernel("reference_grey"),
+                                 kernel("reference_sums"), kernel("sweep"), kernel("find_peaks"),
+                                 kernel("fit_planes"), kernel("expand"), kernel("pick")});
     sweeper.vector_ = vector;
-    // A CPU's caches hold one sample of all neighbours; a GPU wants many work-items per launch.
-    sweeper.slice_ = device->info().gpu ? 8 : 1;
     return sweeper;
   });
 }
@@ -109,16 +110,28 @@ DepthSweeper::DepthSweeper(std::shared_ptr<Device> device, const DepthSweepOptio
       kernels_(std::move(kernels)),
       images_(device_),
       geometry_(device_),
-      s1_(device_),
-      s2_(device_),
-      warped_(device_),
-      sums_(device_),
+      grey_(device_),
+      mean_(device_),
+      inverse_deviation_(device_),
+      surface_(device_),
+      slant_x_(device_),
+      slant_y_(device_),
       inverse_(device_),
       score_(device_),
       lead_(device_),
-      inverse_next_(device_),
-      score_next_(device_),
+      guess_(device_),
+      fine_surface_(device_),
+      fine_lead_(device_),
       volume_(device_) {}
+
+DepthSweeper::Grid DepthSweeper::grid_of(const SweepImage::Level& level) {
+  return {level.width_px, level.height_px, row_length(level.width_px), pitch_of(level.width_px)};
+}
+
+std::size_t DepthSweeper::Grid::elements() const {
+  // Vectors read past the last row.
+  return area(pitch, height) + 4 * kPadding;
+}
 
 void DepthSweeper::fill(Buffer<float>& buffer, std::size_t size, float value, Lane lane) {
   buffer.resize(size);
@@ -136,115 +149,177 @@ Camera DepthSweeper::scaled(const Camera& camera, int scale) {
   return out;
 }
 
+SweepImage::Level DepthSweeper::reduce(const DeviceImage& image, int scale, Lane lane) {
+  SweepImage::Level out;
+  out.width_px = image.width_px / scale;
+  out.height_px = image.height_px / scale;
+  const Grid grid = grid_of(out);
+  out.quads = cl::Buffer(device_->context(), CL_MEM_READ_WRITE, grid.elements() * sizeof(cl_uint));
+  set_arguments(kernels_.shrink, image.pixels, image.width_px, scale, out.quads, grid.width,
+                grid.height, grid.pitch);
+  launch_rows(*device_, lane, kernels_.shrink, grid.width, grid.height);
+  return out;
+}
+
 SweepImage DepthSweeper::prepare(const DeviceImage& image, int scale, Lane lane) {
   CORVID_CHECK(scale >= 1 && image.width_px >= scale && image.height_px >= scale,
                "image is smaller than one ray's block");
   return on_device("prepare image for depth", [&] {
     SweepImage out;
-    out.width_px = image.width_px / scale;
-    out.height_px = image.height_px / scale;
-    const int pitch = pitch_of(out.width_px);
-    const std::size_t bytes = area(pitch, out.height_px) * sizeof(float);
-    out.pixels = cl::Buffer(device_->context(), CL_MEM_READ_WRITE, bytes);
-    const cl::CommandQueue& queue = device_->queue(lane);
-    queue.enqueueFillBuffer(out.pixels, 0.0F, 0, bytes);
-    set_arguments(kernels_.shrink, image.pixels, image.width_px, scale, out.pixels, out.width_px,
-                  out.height_px, pitch);
-    launch_rows(*device_, lane, kernels_.shrink, out.width_px, out.height_px);
-    queue.finish();
+    out.full = reduce(image, scale, lane);
+    if (image.width_px >= 2 * scale && image.height_px >= 2 * scale) {
+      out.half = reduce(image, 2 * scale, lane);
+    }
+    device_->queue(lane).finish();
     return out;
   });
 }
 
+void DepthSweeper::load(const SweepRequest& request, bool half, const Grid& grid, Lane lane) {
+  const cl::CommandQueue& queue = device_->queue(lane);
+  const auto level = [&](const SweepImage& image) { return half ? image.half : image.full; };
+  const int scale = half ? 2 : 1;
+  std::vector<float> geometry;
+  images_.resize(area(grid.pitch, grid.height) * request.neighbours.size() + 4 * kPadding);
+  std::size_t offset = 0;
+  for (const SweepNeighbour& n : request.neighbours) {
+    append_geometry(scaled(request.camera, scale), scaled(n.camera, scale), n.T_neighbour_reference,
+                    geometry);
+    const std::size_t bytes = area(grid.pitch, grid.height) * sizeof(cl_uint);
+    queue.enqueueCopyBuffer(level(*n.image).quads, images_.cl(), 0, offset, bytes);
+    offset += bytes;
+  }
+  geometry_.upload(geometry, lane);
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  for (Buffer<float>* image : {&grey_, &mean_, &inverse_deviation_}) {
+    fill(*image, grid.elements(), nan, lane);
+  }
+  for (Buffer<float>* image :
+       {&surface_, &slant_x_, &slant_y_, &inverse_, &score_, &lead_, &guess_}) {
+    fill(*image, grid.elements(), 0, lane);
+  }
+  set_arguments(kernels_.reference_grey, level(*request.reference).quads, grid.width, grid.height,
+                grid.pitch, grey_.cl());
+  launch_rows(*device_, lane, kernels_.reference_grey, grid.width, grid.height);
+  set_arguments(kernels_.reference_sums, grey_.cl(), grid.width, grid.height, grid.pitch, grid.row,
+                mean_.cl(), inverse_deviation_.cl());
+  launch(*device_, lane, kernels_.reference_sums, grid.row / vector_, grid.height);
+}
+
+void DepthSweeper::sweep(const Grid& grid, int neighbours, double inverse_0, double step,
+                         int layers, Lane lane) {
+  const cl::CommandQueue& queue = device_->queue(lane);
+  volume_.resize(area(grid.row, grid.height) * static_cast<std::size_t>(layers * neighbours));
+  const double scores = static_cast<double>(area(grid.row, grid.height)) * neighbours;
+  const int slice =
+      device_->info().gpu ? layers : std::clamp(static_cast<int>(kSliceScores / scores), 1, layers);
+  const auto size = [](int n) { return static_cast<cl::size_type>(n); };
+  for (int first = 0; first < layers; first += slice) {
+    set_arguments(kernels_.sweep, images_.cl(), grey_.cl(), mean_.cl(), inverse_deviation_.cl(),
+                  neighbours, grid.width, grid.height, grid.pitch, grid.row, geometry_.cl(),
+                  surface_.cl(), static_cast<float>(inverse_0), static_cast<float>(step), first,
+                  layers, volume_.cl());
+    const int planes = std::min(slice, layers - first) * neighbours;
+    if (vector_ == 1) {
+      queue.enqueueNDRangeKernel(kernels_.sweep, cl::NullRange,
+                                 cl::NDRange(size(round_up(grid.row, kTileX)),
+                                             size(round_up(grid.height, kTileY)), size(planes)),
+                                 cl::NDRange(kTileX, kTileY, 1));
+    } else {
+      queue.enqueueNDRangeKernel(kernels_.sweep, cl::NullRange,
+                                 cl::NDRange(size(divide_up(grid.row, kStrip)), size(planes)),
+                                 cl::NDRange(1, 1));
+    }
+    queue.finish();
+  }
+}
+
+void DepthSweeper::find_peaks(const Grid& grid, int neighbours, double inverse_far, double step,
+                              int samples, Lane lane) {
+  set_arguments(kernels_.find_peaks, volume_.cl(), samples, neighbours, grid.height, grid.row,
+                grid.pitch, static_cast<float>(inverse_far), static_cast<float>(step),
+                inverse_.cl(), score_.cl(), lead_.cl(), guess_.cl());
+  launch(*device_, lane, kernels_.find_peaks, grid.row / vector_, grid.height);
+}
+
+void DepthSweeper::fit_planes(const Grid& grid, double step, Lane lane) {
+  set_arguments(kernels_.fit_planes, grid.height, grid.pitch, grid.row, static_cast<float>(step),
+                inverse_.cl(), score_.cl(), guess_.cl(), surface_.cl(), slant_x_.cl(),
+                slant_y_.cl());
+  launch(*device_, lane, kernels_.fit_planes, grid.row / vector_, grid.height);
+}
+
+void DepthSweeper::expand(const Grid& coarse, const Grid& fine, Lane lane) {
+  fill(fine_surface_, fine.elements(), 0, lane);
+  fill(fine_lead_, fine.elements(), 0, lane);
+  set_arguments(kernels_.expand, surface_.cl(), slant_x_.cl(), slant_y_.cl(), lead_.cl(),
+                coarse.width, coarse.height, coarse.pitch, fine.width, fine.height, fine.pitch,
+                fine_surface_.cl(), fine_lead_.cl());
+  launch_rows(*device_, lane, kernels_.expand, fine.width, fine.height);
+}
+
+void DepthSweeper::pass(const Grid& grid, int neighbours, int reach, double step, Lane lane) {
+  const int layers = 2 * reach + 1;
+  sweep(grid, neighbours, -reach * step, step, layers, lane);
+  set_arguments(kernels_.pick, volume_.cl(), layers, neighbours, grid.height, grid.row, grid.pitch,
+                static_cast<float>(-reach * step), static_cast<float>(step), surface_.cl(),
+                inverse_.cl(), score_.cl(), guess_.cl());
+  launch(*device_, lane, kernels_.pick, grid.row / vector_, grid.height);
+}
+
 SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
   CORVID_CHECK(request.reference, "a reference image is needed");
-  const int width = request.reference->width_px, height = request.reference->height_px;
+  const Grid fine = grid_of(request.reference->full), coarse = grid_of(request.reference->half);
   const int m = static_cast<int>(request.neighbours.size());
-  CORVID_CHECK(width >= options_.template_px && height >= options_.template_px,
+  CORVID_CHECK(std::min(fine.width, fine.height) >= options_.template_px,
                "image is smaller than the template");
   CORVID_CHECK(request.samples >= 3 && request.samples <= 4096, "3 to 4096 depth samples");
   CORVID_CHECK(request.near > 0 && request.near < request.far && std::isfinite(request.far),
                "0 < near < far");
-  SweepResult result{FloatImage(width, height), FloatImage(width, height),
-                     FloatImage(width, height)};
+  for (const SweepNeighbour& n : request.neighbours) {
+    CORVID_CHECK(
+        n.image && n.image->full.width_px == fine.width && n.image->full.height_px == fine.height,
+        "neighbours must have the reference's size");
+  }
+  SweepResult result{FloatImage(fine.width, fine.height), FloatImage(fine.width, fine.height),
+                     FloatImage(fine.width, fine.height)};
   if (m < options_.min_views) return result;
 
-  const int pitch = pitch_of(width), row = row_length(width);
-  const std::size_t image_size = area(pitch, height);
-  const std::size_t sums_size = area(row, height + options_.template_px - 1);
-  const double inverse_far = 1 / request.far;
-  const double inverse_step = (1 / request.near - inverse_far) / (request.samples - 1);
-  const auto far = static_cast<float>(inverse_far), step = static_cast<float>(inverse_step);
-  std::vector<float> geometry;
-  for (const SweepNeighbour& n : request.neighbours) {
-    CORVID_CHECK(n.image && n.image->width_px == width && n.image->height_px == height,
-                 "neighbours must have the reference's size");
-    append_geometry(request.camera, n, geometry);
-  }
-
+  const bool halve = request.coarse_to_fine && request.refinements > 0 &&
+                     std::min(coarse.width, coarse.height) >= 2 * options_.template_px;
+  const double inverse_far = 1 / request.far, range = 1 / request.near - inverse_far;
+  const double step = range / (request.samples - 1);
   on_device("depth", [&] {
-    const cl::CommandQueue& queue = device_->queue(lane);
-    const float nan = std::numeric_limits<float>::quiet_NaN();
-    const auto planes = static_cast<std::size_t>(slice_ * m);
-    geometry_.upload(geometry, lane);
-    images_.resize(image_size * static_cast<std::size_t>(m));
-    for (std::size_t i = 0; i < static_cast<std::size_t>(m); ++i) {
-      queue.enqueueCopyBuffer(request.neighbours[i].image->pixels, images_.cl(), 0,
-                              i * image_size * sizeof(float), image_size * sizeof(float));
+    if (halve) {
+      const int samples = std::max(3, (request.samples + 1) / 2);
+      const double coarse_step = range / (samples - 1);
+      load(request, true, coarse, lane);
+      sweep(coarse, m, inverse_far, coarse_step, samples, lane);
+      find_peaks(coarse, m, inverse_far, coarse_step, samples, lane);
+      fit_planes(coarse, coarse_step, lane);
+      expand(coarse, fine, lane);
+      load(request, false, fine, lane);
+      std::swap(surface_, fine_surface_);
+      std::swap(lead_, fine_lead_);
+    } else {
+      load(request, false, fine, lane);
+      sweep(fine, m, inverse_far, step, request.samples, lane);
+      find_peaks(fine, m, inverse_far, step, request.samples, lane);
     }
-    fill(s1_, area(row, height), nan, lane);
-    fill(s2_, area(row, height), nan, lane);
-    fill(warped_, image_size * planes, nan, lane);
-    fill(sums_, 3 * sums_size * planes, nan, lane);
-    for (Buffer<float>* out : {&inverse_, &score_, &lead_, &inverse_next_, &score_next_}) {
-      fill(*out, image_size, 0, lane);
-    }
-    volume_.resize(area(row, height) * static_cast<std::size_t>(request.samples));
-
-    const int groups = row / vector_;
-    const cl::Buffer& reference = request.reference->pixels;
-    set_arguments(kernels_.reference_sums, reference, width, height, pitch, row, s1_.cl(),
-                  s2_.cl());
-    launch_rows(*device_, lane, kernels_.reference_sums, width, height);
-    for (int first = 0; first < request.samples; first += slice_) {
-      const int n = std::min(slice_, request.samples - first);
-      set_arguments(kernels_.warp_planes, images_.cl(), m, width, height, pitch, row,
-                    geometry_.cl(), far, step, first, warped_.cl());
-      launch(*device_, lane, kernels_.warp_planes, groups, height, n * m);
-      set_arguments(kernels_.sum_rows, reference, warped_.cl(), height, pitch, row, sums_.cl());
-      launch(*device_, lane, kernels_.sum_rows, groups, height, n * m);
-      set_arguments(kernels_.score_planes, sums_.cl(), s1_.cl(), s2_.cl(), m, height, row, first,
-                    volume_.cl());
-      launch(*device_, lane, kernels_.score_planes, groups, height, n);
-      // One slice at a time: the device is free for tracking in between.
-      queue.finish();
-    }
-    set_arguments(kernels_.find_peaks, volume_.cl(), request.samples, height, row, pitch, far, step,
-                  inverse_.cl(), score_.cl(), lead_.cl());
-    launch(*device_, lane, kernels_.find_peaks, groups, height);
-    float h = 1;
-    for (int pass = 0; pass < request.refinements; ++pass, h *= 0.5F) {
-      set_arguments(kernels_.refine, reference, images_.cl(), m, width, height, pitch, row,
-                    geometry_.cl(), step, h, inverse_.cl(), score_.cl(), inverse_next_.cl(),
-                    score_next_.cl());
-      // On a CPU in bands of rows, so that no launch holds the device for long.
-      const int band = device_->info().gpu ? height : kBandRows;
-      for (int row_0 = 0; row_0 < height; row_0 += band) {
-        launch(*device_, lane, kernels_.refine, groups, std::min(band, height - row_0), 1, row_0);
-        queue.finish();
-      }
-      std::swap(inverse_, inverse_next_);
-      std::swap(score_, score_next_);
+    double h = 1;
+    for (int i = 0; i < request.refinements; ++i, h *= 0.5) {
+      if (i > 0 || !halve) fit_planes(fine, step, lane);
+      pass(fine, m, i == 0 ? kFirstReach : 1, h * step, lane);
     }
   });
 
-  std::vector<float> inverse(image_size), score(image_size), lead(image_size);
+  std::vector<float> inverse(fine.elements()), score(inverse.size()), lead(inverse.size());
   inverse_.download(inverse, 0, lane);
   score_.download(score, 0, lane);
   lead_.download(lead, 0, lane);
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      const std::size_t at = area(pitch, y) + static_cast<std::size_t>(kPadding + x);
+  for (int y = 0; y < fine.height; ++y) {
+    for (int x = 0; x < fine.width; ++x) {
+      const std::size_t at = area(fine.pitch, y) + static_cast<std::size_t>(kPadding + x);
       if (!(inverse[at] > 0) || !(score[at] > 0)) continue;
       result.depth(x, y) = 1 / inverse[at];
       result.confidence(x, y) = std::min(score[at], 1.0F);

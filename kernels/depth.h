@@ -22,8 +22,11 @@ struct DepthSweepOptions {
 
 /// An undistorted image as the sweep reads it, on the device. Made by DepthSweeper::prepare().
 struct SweepImage {
-  cl::Buffer pixels;  ///< float, padded; see depth.cl
-  int width_px = 0, height_px = 0;
+  struct Level {
+    cl::Buffer quads;  ///< see depth.cl
+    int width_px = 0, height_px = 0;
+  };
+  Level full, half;
 };
 
 /// One neighbour of a reference view.
@@ -37,9 +40,10 @@ struct SweepRequest {
   const SweepImage* reference = nullptr;
   Camera camera;  ///< pinhole of the reference image
   std::span<const SweepNeighbour> neighbours;
-  double near = 0, far = 0;  ///< depth interval [map units], 0 < near < far
-  int samples = 96;          ///< planes, uniform in inverse depth
-  int refinements = 3;       ///< passes on slanted planes; 0: the sweep alone
+  double near = 0, far = 0;    ///< depth interval [map units], 0 < near < far
+  int samples = 96;            ///< depth samples, uniform in inverse depth
+  bool coarse_to_fine = true;  ///< false: every sample at full resolution
+  int refinements = 3;         ///< passes around the estimated surface; 0: the sweep alone
 };
 
 struct SweepResult {
@@ -48,12 +52,16 @@ struct SweepResult {
   FloatImage lead;        ///< of the best peak's score over the next best one's; 1 = no other
 };
 
-/// Depth of a view by multi-view NCC: a sweep of fronto-parallel planes, whose weighted sums are
-/// separable, so a sample costs O(template side); then local refinement on slanted planes, which
-/// mends the sweep's bias and finds rays that it missed (algorithms.md 7; Collins 1996 for the
-/// sweep). No rectification, so it works with the epipole in the image. The geometry is computed
-/// in double precision, the rest in single precision, all on the device; work is queued in small
-/// slices. One owner, one thread at a time. Throws DeviceFault.
+/// Depth of a view by multi-view NCC, in two steps (algorithms.md 7).
+///
+/// A sweep of planes that face the camera (Collins 1996) over the whole interval, at half the
+/// resolution unless the request says otherwise: the weighted sums are separable, so a sample costs
+/// O(template side). Then, at full resolution, passes of a few samples around the estimated
+/// surface: the neighbours are warped by the surface itself, smoothed by planes, so that a template
+/// lies on slanted ground as it does on a wall, and the sums stay separable. No rectification, so
+/// it works with the epipole in the image. The geometry is computed in double precision, the rest
+/// in single precision, all on the device; work is queued in small slices. One owner, one thread at
+/// a time. Throws DeviceFault.
 class DepthSweeper {
  public:
   /// Fails if an option is out of its range or if the kernels do not build.
@@ -73,19 +81,38 @@ class DepthSweeper {
 
  private:
   struct Kernels {
-    cl::Kernel shrink, reference_sums, warp_planes, sum_rows, score_planes, find_peaks, refine;
+    cl::Kernel shrink, reference_grey, reference_sums, sweep, find_peaks, fit_planes, expand, pick;
   };
+  /// Sizes of one level's padded images.
+  struct Grid {
+    int width = 0, height = 0, row = 0, pitch = 0;
+    [[nodiscard]] std::size_t elements() const;
+  };
+  [[nodiscard]] static Grid grid_of(const SweepImage::Level& level);
   DepthSweeper(std::shared_ptr<Device> device, const DepthSweepOptions& options, Kernels kernels);
   void fill(Buffer<float>& buffer, std::size_t size, float value, Lane lane);
+  [[nodiscard]] SweepImage::Level reduce(const DeviceImage& image, int scale, Lane lane);
+  /// Puts reference, neighbours and geometry of a level in place; the surface is zero.
+  void load(const SweepRequest& request, bool half, const Grid& grid, Lane lane);
+  /// Scores of `layers` layers around the surface, into the volume.
+  void sweep(const Grid& grid, int neighbours, double inverse_0, double step, int layers,
+             Lane lane);
+  void find_peaks(const Grid& grid, int neighbours, double inverse_far, double step, int samples,
+                  Lane lane);
+  /// Sweeps the surface, smoothed, of half the resolution and leaves it as that of the full one.
+  void expand(const Grid& coarse, const Grid& fine, Lane lane);
+  void fit_planes(const Grid& grid, double step, Lane lane);
+  void pass(const Grid& grid, int neighbours, int reach, double step, Lane lane);
 
   std::shared_ptr<Device> device_;
   DepthSweepOptions options_;
   Kernels kernels_;
-  int vector_ = 1;  ///< pixels per work-item
-  int slice_ = 1;   ///< depth samples per launch
-  Buffer<float> images_, geometry_, s1_, s2_, warped_, sums_, inverse_, score_, lead_,
-      inverse_next_, score_next_;
-  Buffer<std::uint16_t> volume_;
+  int vector_ = 1;  ///< pixels per vector
+  Buffer<std::uint32_t> images_;
+  Buffer<float> geometry_, grey_, mean_, inverse_deviation_;  ///< of the level
+  Buffer<float> surface_, slant_x_, slant_y_, inverse_, score_, lead_, guess_, fine_surface_,
+      fine_lead_;
+  Buffer<std::int16_t> volume_;
 };
 
 }  // namespace corvid

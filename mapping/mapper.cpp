@@ -301,7 +301,7 @@ struct Mapper::Impl {
     if (static_cast<int>(neighbours.size()) < options.min_views) return nullptr;
 
     SweepResult result = sweeper.estimate({reference.get(), depth->camera, neighbours, near, far,
-                                           options.depth_samples, kRefinements});
+                                           options.depth_samples, true, kRefinements});
     depth->depth = std::move(result.depth);
     depth->confidence = std::move(result.confidence);
     timings.emplace_back("depth", watch.lap_ms());

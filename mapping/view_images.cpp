@@ -45,8 +45,9 @@ std::shared_ptr<const SweepImage> ViewImages::sweep_image(const Keyframe& keyfra
     kept.image = std::make_shared<const SweepImage>(sweeper.prepare(image, scale_, Lane::mapping));
   }
   const auto result = kept.image;
-  const std::size_t bytes = sizeof(float) * static_cast<std::size_t>(result->width_px) *
-                            static_cast<std::size_t>(result->height_px);
+  // Both levels, 4 bytes per pixel.
+  const std::size_t bytes = 5 * static_cast<std::size_t>(result->full.width_px) *
+                            static_cast<std::size_t>(result->full.height_px);
   while (kept_.size() > std::max<std::size_t>(1, budget_bytes_ / std::max<std::size_t>(1, bytes))) {
     kept_.erase(std::min_element(kept_.begin(), kept_.end(), [](const auto& a, const auto& b) {
       return a.second.last_use < b.second.last_use;

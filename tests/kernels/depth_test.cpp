@@ -39,7 +39,8 @@ struct Views {
     return poses[i].inverse() * poses[0];
   }
   [[nodiscard]] SweepResult estimate(DepthSweeper& sweeper, double near, double far, int samples,
-                                     int refinements, int scale = 1) const {
+                                     int refinements, int scale = 1,
+                                     bool coarse_to_fine = false) const {
     std::vector<SweepImage> prepared;
     for (const GreyImage& image : images) {
       prepared.push_back(sweeper.prepare(upload(*device(), image), scale));
@@ -49,7 +50,8 @@ struct Views {
     for (std::size_t i = 1; i < prepared.size(); ++i) {
       neighbours.push_back({&prepared[i], small, T_neighbour_reference(i)});
     }
-    return sweeper.estimate({&prepared[0], small, neighbours, near, far, samples, refinements});
+    return sweeper.estimate(
+        {&prepared[0], small, neighbours, near, far, samples, coarse_to_fine, refinements});
   }
 };
 

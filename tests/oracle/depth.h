@@ -34,6 +34,7 @@ struct FusedSample {
   bool valid = false;
 };
 
+/// Rounded to whole grey levels.
 inline Image<double> mean_of_blocks(const GreyImage& image, int scale) {
   Image<double> out(image.width() / scale, image.height() / scale);
   for (int y = 0; y < out.height(); ++y) {
@@ -41,6 +42,7 @@ inline Image<double> mean_of_blocks(const GreyImage& image, int scale) {
       for (int i = 0; i < scale * scale; ++i) {
         out(x, y) += image(x * scale + i % scale, y * scale + i / scale) / double(scale * scale);
       }
+      out(x, y) = std::floor(out(x, y) + 0.5);
     }
   }
   return out;
