@@ -19,7 +19,7 @@
 // a window that is not wholly seen becomes NaN, which is no score: comparisons with it are false.
 //
 // Build options: VEC (pixels of a row per vector: 16 on CPUs, 1 on GPUs), RADIUS (template side
-// 2 RADIUS + 1), WEIGHTS (comma-separated 1-d weights, sum 1), MIN_SCORE, MIN_VIEWS, MIN_VARIANCE
+// 2 RADIUS + 1), MIN_SCORE, MIN_VIEWS, MIN_VARIANCE
 // (grey levels squared, below which a window has no texture), PAD (>= RADIUS, >= VEC).
 // Launch, but for `sweep`: x >= groups of VEC pixels, y >= rows.
 
@@ -57,8 +57,6 @@ typedef uint vuint;
 #else
 #define CENTRED 1.0f
 #endif
-
-constant float kWeights[SIDE] = {WEIGHTS};
 
 #if VEC == 16
 inline vuint gather(global const uint* image, vint at) {
@@ -167,8 +165,9 @@ kernel void reference_grey(global const uint* quads, int width, int height, int 
   grey[at] = (float)(quads[at] & 255u) - 128.0f;
 }
 
-// Mean and 1 / deviation of the reference's windows; NaN where there is none.
-kernel void reference_sums(global const float* grey, int width, int height, int pitch, int row,
+// Mean and 1 / deviation of the reference's windows; NaN where there is none. weights: SIDE
+// one-dimensional ones, sum 1.
+kernel void reference_sums(constant float* weights, global const float* grey, int width, int height, int pitch, int row,
                            global float* mean, global float* inverse_deviation) {
   const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
   if (x0 >= row || y < RADIUS || y >= height - RADIUS) return;
@@ -178,12 +177,12 @@ kernel void reference_sums(global const float* grey, int width, int height, int 
     vfloat t1 = 0.0f, t2 = 0.0f;
     for (int i = -RADIUS; i <= RADIUS; ++i) {
       const vfloat r = LOAD(grey + at + j * pitch + i);
-      const vfloat wr = r * kWeights[i + RADIUS];
+      const vfloat wr = r * weights[i + RADIUS];
       t1 = mad(wr, r, t1);
       t2 += wr;
     }
-    s1 = mad((vfloat)(kWeights[j + RADIUS]), t1, s1);
-    s2 = mad((vfloat)(kWeights[j + RADIUS]), t2, s2);
+    s1 = mad((vfloat)(weights[j + RADIUS]), t1, s1);
+    s2 = mad((vfloat)(weights[j + RADIUS]), t2, s2);
   }
   const vfloat variance = s1 - s2 * s2;
   const vint textured = variance > MIN_VARIANCE;
@@ -198,7 +197,7 @@ kernel void reference_sums(global const float* grey, int width, int height, int 
 #if VEC == 16
 #define STRIP 10  // vectors
 #define HALO ((2 * RADIUS + VEC - 1) / VEC)
-kernel void sweep(global const uint* restrict images, global const float* restrict grey,
+kernel void sweep(constant float* restrict weights, global const uint* restrict images, global const float* restrict grey,
                   global const float* restrict mean, global const float* restrict inverse_deviation,
                   int neighbours, int width, int height, int pitch, int row,
                   global const float* restrict geometry, global const float* restrict base,
@@ -225,7 +224,7 @@ kernel void sweep(global const uint* restrict images, global const float* restri
 #pragma unroll
       for (int i = 0; i < SIDE; ++i) {
         const vfloat s = LOAD(warped + v * VEC + i);
-        const vfloat ws = s * kWeights[i];
+        const vfloat ws = s * weights[i];
         a += ws;
         b = mad(ws, s, b);
         c = mad(ws, LOAD(grey + at + v * VEC + i), c);
@@ -243,9 +242,9 @@ kernel void sweep(global const uint* restrict images, global const float* restri
       int j_slot = slot;
 #pragma unroll
       for (int j = 0; j < SIDE; ++j) {
-        a = mad((vfloat)(kWeights[j]), LOAD(sums[j_slot][0] + v * VEC), a);
-        b = mad((vfloat)(kWeights[j]), LOAD(sums[j_slot][1] + v * VEC), b);
-        c = mad((vfloat)(kWeights[j]), LOAD(sums[j_slot][2] + v * VEC), c);
+        a = mad((vfloat)(weights[j]), LOAD(sums[j_slot][0] + v * VEC), a);
+        b = mad((vfloat)(weights[j]), LOAD(sums[j_slot][1] + v * VEC), b);
+        c = mad((vfloat)(weights[j]), LOAD(sums[j_slot][2] + v * VEC), c);
         j_slot = j_slot + 1 == SIDE ? 0 : j_slot + 1;
       }
       const int at_middle = middle * pitch + PAD + x0 + v * VEC;
@@ -260,7 +259,7 @@ kernel void sweep(global const uint* restrict images, global const float* restri
 #define TILE_Y 8
 #define WIDE (TILE_X + 2 * RADIUS)
 #define HIGH (TILE_Y + 2 * RADIUS)
-kernel void sweep(global const uint* restrict images, global const float* restrict grey,
+kernel void sweep(constant float* restrict weights, global const uint* restrict images, global const float* restrict grey,
                   global const float* restrict mean, global const float* restrict inverse_deviation,
                   int neighbours, int width, int height, int pitch, int row,
                   global const float* restrict geometry, global const float* restrict base,
@@ -287,7 +286,7 @@ kernel void sweep(global const uint* restrict images, global const float* restri
   for (int j = ly; j < HIGH; j += TILE_Y) {
     float a = 0.0f, b = 0.0f, c = 0.0f;
     for (int i = 0; i < SIDE; ++i) {
-      const float s = warped[j][lx + i], ws = s * kWeights[i];
+      const float s = warped[j][lx + i], ws = s * weights[i];
       a += ws;
       b = mad(ws, s, b);
       c = mad(ws, reference[j][lx + i], c);
@@ -301,9 +300,9 @@ kernel void sweep(global const uint* restrict images, global const float* restri
   if (x >= row || y < RADIUS || y >= height - RADIUS) return;
   float a = 0.0f, b = 0.0f, c = 0.0f;
   for (int j = 0; j < SIDE; ++j) {
-    a = mad(kWeights[j], sums[0][ly + j][lx], a);
-    b = mad(kWeights[j], sums[1][ly + j][lx], b);
-    c = mad(kWeights[j], sums[2][ly + j][lx], c);
+    a = mad(weights[j], sums[0][ly + j][lx], a);
+    b = mad(weights[j], sums[1][ly + j][lx], b);
+    c = mad(weights[j], sums[2][ly + j][lx], c);
   }
   const int at = y * pitch + PAD + x;
   STORE_CODE(score_code(mean[at], inverse_deviation[at], c, a, b),
@@ -393,16 +392,17 @@ kernel void find_peaks(global const short* volume, int samples, int neighbours, 
 }
 
 // A plane is linear in inverse depth over the image: r(x + i, y + j) = r0 + a i + b j. Fits one to
-// the answers around each pixel (25 of them, every other pixel, those within FIT_TOLERANCE samples
+// the answers around each pixel (49 of them, every other pixel, those within `tolerance` samples
 // of the middle one; the middle one's place is taken by the best-scored neighbour where it has no
-// answer). Where there are too few, the guess, without slant. step: inverse depth of one sample.
-#define FIT_REACH 4
-#define FIT_TOLERANCE 3.0f
+// answer). Where there are too few, the guess, without slant. step: inverse depth of one sample;
+// support: how many answers lie on the plane.
+#define FIT_REACH 6
 #define FIT_MIN_ANSWERS 6
 #define MAX_SLANT 0.5f  // change of inverse depth within the template, relative
-kernel void fit_planes(int height, int pitch, int row, float step, global const float* inverse,
+kernel void fit_planes(int height, int pitch, int row, float step, float tolerance,
+                       global const float* inverse,
                        global const float* score, global const float* guess, global float* surface,
-                       global float* slant_x, global float* slant_y) {
+                       global float* slant_x, global float* slant_y, global float* support) {
   const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
   if (x0 >= row || y >= height) return;
   const int at = y * pitch + PAD + x0;
@@ -425,7 +425,7 @@ kernel void fit_planes(int height, int pitch, int row, float step, global const 
     for (int i = -FIT_REACH; i <= FIT_REACH; i += 2) {
       const vfloat r = LOAD(inverse + at + j * pitch + i);
       const vfloat d = (r - middle) * per_step;
-      const vint use = (r > 0.0f) & (fabs(d) < FIT_TOLERANCE);
+      const vint use = (r > 0.0f) & (fabs(d) < tolerance);
       const vfloat w = select((vfloat)(0.0f), (vfloat)(1.0f), use);
       const float fi = (float)i, fj = (float)j;
       n += w;
@@ -458,6 +458,7 @@ kernel void fit_planes(int height, int pitch, int row, float step, global const 
   const vfloat slant = (fabs(a) + fabs(b)) * (float)RADIUS;
   const vfloat shrink = fmin((vfloat)(1.0f), MAX_SLANT * r0 / fmax(slant, (vfloat)(1e-20f)));
   STORE(r0, surface + at);
+  STORE(n, support + at);
   STORE(a * shrink, slant_x + at);
   STORE(b * shrink, slant_y + at);
 }
@@ -516,4 +517,56 @@ kernel void pick(global const short* volume, int layers, int neighbours, int hei
   STORE(select((vfloat)(0.0f), r_best, found), inverse + at);
   STORE(select((vfloat)(0.0f), best - 0.25f * (before - after) * offset, found), score + at);
   STORE(select(fmax(r_highest, (vfloat)(0.0f)), r_best, found), guess + at);
+}
+
+// The planes around each pixel, continued to it: the nearest and the farthest of them (49 of them,
+// every other pixel), of those on which MIN_SUPPORT answers lie. Where there are none, the pixel's own.
+#define SIDE_REACH 6
+#define MIN_SUPPORT 24.0f
+kernel void near_and_far(int height, int pitch, int row, global const float* surface,
+                         global const float* slant_x, global const float* slant_y,
+                         global const float* support, global float* near, global float* far) {
+  const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
+  if (x0 >= row || y >= height) return;
+  const int at = y * pitch + PAD + x0;
+  const vfloat own = LOAD(surface + at);
+  vfloat most = own, least = own;
+  const int j_low = max(-SIDE_REACH, -(y / 2 * 2)), j_high = min(SIDE_REACH, (height - 1 - y) / 2 * 2);
+  for (int j = j_low; j <= j_high; j += 2) {
+    for (int i = -SIDE_REACH; i <= SIDE_REACH; i += 2) {
+      const int q = at + j * pitch + i;
+      const vfloat r = LOAD(surface + q) - LOAD(slant_x + q) * (float)i - LOAD(slant_y + q) * (float)j;
+      const vint supported = (LOAD(support + q) >= MIN_SUPPORT) & (r > 0.0f);
+      most = select(most, fmax(most, r), supported);
+      least = select(least, fmin(least, r), supported);
+    }
+  }
+  STORE(most, near + at);
+  STORE(least, far + at);
+}
+
+// Where the surface is torn (near and far differ by more than TORN of the inverse
+// depth and TORN_SAMPLES), which of the
+// two sides a pixel belongs to by narrow templates: the better one, or none if they are nearly as
+// good. Wide templates near an edge see both sides and tend to give the near one to all.
+#define TORN 0.04f
+#define TORN_SAMPLES 2.0f
+#define MIN_LEAD 0.06f
+kernel void choose_side(int height, int pitch, int row, float step, global const float* near,
+                        global const float* far, global const float* near_inverse,
+                        global const float* near_score, global const float* far_inverse,
+                        global const float* far_score, global float* inverse, global float* score) {
+  const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
+  if (x0 >= row || y >= height) return;
+  const int at = y * pitch + PAD + x0;
+  const vfloat n = LOAD(near_score + at), f = LOAD(far_score + at);
+  const vint torn = LOAD(near + at) - LOAD(far + at) >
+                    fmax(TORN * LOAD(near + at), (vfloat)(TORN_SAMPLES * step));
+  const vint is_near = torn & (n > f + MIN_LEAD), is_far = torn & (f > n + MIN_LEAD);
+  vfloat r = select(LOAD(inverse + at), (vfloat)(0.0f), torn);
+  vfloat s = select(LOAD(score + at), (vfloat)(0.0f), torn);
+  r = select(select(r, LOAD(near_inverse + at), is_near), LOAD(far_inverse + at), is_far);
+  s = select(select(s, n, is_near), f, is_far);
+  STORE(r, inverse + at);
+  STORE(s, score + at);
 }

@@ -17,6 +17,9 @@ constexpr int kStrip = 160;   // STRIP * VEC of depth.cl
 constexpr int kTileX = 32, kTileY = 8;
 /// Scores of a launch on a CPU, so that the device is free for tracking every few milliseconds.
 constexpr double kSliceScores = 1e6;
+constexpr double kNarrowSigma_px = 1;  ///< of the templates that decide at edges
+/// Of answers to the plane that is fitted to them [samples], before and after the first pass.
+constexpr float kFirstTolerance = 3, kTolerance = 1;
 constexpr int kFirstReach = 3;  ///< samples to either side in the first pass around the surface
 constexpr int kMaxTemplate_px = 2 * kPadding - 1;
 
@@ -34,20 +37,15 @@ std::string literal(double value) {
   return digits + "e-9f";
 }
 
-std::string weight_list(int side) {
-  const double sigma = side / 6.0;
-  std::vector<double> w;
+std::vector<float> gaussian(int side, double sigma) {
+  std::vector<float> w;
   double sum = 0;
-  for (int i = 0; i < side; ++i) {
-    const double d = (i - side / 2) / sigma;
-    w.push_back(std::exp(-0.5 * d * d));
-    sum += w.back();
-  }
-  std::string out;
-  for (int i = 0; i < side; ++i) {
-    out += (i ? "," : "") + literal(w[static_cast<std::size_t>(i)] / sum);
-  }
-  return out;
+  const auto at = [&](int i) {
+    return std::exp(-0.5 * (i - side / 2) * (i - side / 2) / (sigma * sigma));
+  };
+  for (int i = 0; i < side; ++i) sum += at(i);
+  for (int i = 0; i < side; ++i) w.push_back(static_cast<float>(at(i) / sum));
+  return w;
 }
 
 /// A (row by row) and b of depth.cl: x' ~ A (x, y, 1)' + b r.
@@ -86,18 +84,18 @@ Expected<DepthSweeper> DepthSweeper::create(std::shared_ptr<Device> device,
   const int vector = options.vector_px > 0 ? options.vector_px : device->info().gpu ? 1 : kPadding;
   const std::string build =
       "-DVEC=" + std::to_string(vector) + " -DRADIUS=" + std::to_string(options.template_px / 2) +
-      " -DPAD=" + std::to_string(kPadding) + " -DWEIGHTS=" + weight_list(options.template_px) +
-      " -DMIN_SCORE=" + literal(options.min_score) +
+      " -DPAD=" + std::to_string(kPadding) + " -DMIN_SCORE=" + literal(options.min_score) +
       " -DMIN_VIEWS=" + std::to_string(options.min_views) +
       " -DMIN_VARIANCE=" + literal(options.min_variance) + " " + extra_options;
   const auto program = build_program(*device, "depth", build);
   if (!program) return tl::unexpected(program.error());
   return opening_on_device(*device, [&] {
     const auto kernel = [&](const char* name) { return cl::Kernel(*program, name); };
-    DepthSweeper sweeper(device, options,
-                         Kernels{kernel("shrink"), kernel("reference_grey"),
-                                 kernel("reference_sums"), kernel("sweep"), kernel("find_peaks"),
-                                 kernel("fit_planes"), kernel("expand"), kernel("pick")});
+    DepthSweeper sweeper(
+        device, options,
+        Kernels{kernel("shrink"), kernel("reference_grey"), kernel("reference_sums"),
+                kernel("sweep"), kernel("find_peaks"), kernel("fit_planes"), kernel("expand"),
+                kernel("pick"), kernel("near_and_far"), kernel("choose_side")});
     sweeper.vector_ = vector;
     return sweeper;
   });
@@ -120,8 +118,16 @@ DepthSweeper::DepthSweeper(std::shared_ptr<Device> device, const DepthSweepOptio
       score_(device_),
       lead_(device_),
       guess_(device_),
+      support_(device_),
       fine_surface_(device_),
       fine_lead_(device_),
+      near_(device_),
+      far_(device_),
+      near_inverse_(device_),
+      near_score_(device_),
+      far_inverse_(device_),
+      far_score_(device_),
+      weights_(device_),
       volume_(device_) {}
 
 DepthSweeper::Grid DepthSweeper::grid_of(const SweepImage::Level& level) {
@@ -195,19 +201,42 @@ void DepthSweeper::load(const SweepRequest& request, bool half, const Grid& grid
     fill(*image, grid.elements(), nan, lane);
   }
   for (Buffer<float>* image :
-       {&surface_, &slant_x_, &slant_y_, &inverse_, &score_, &lead_, &guess_}) {
+       {&surface_, &slant_x_, &slant_y_, &support_, &inverse_, &score_, &lead_, &guess_}) {
     fill(*image, grid.elements(), 0, lane);
   }
   set_arguments(kernels_.reference_grey, level(*request.reference).quads, grid.width, grid.height,
                 grid.pitch, grey_.cl());
   launch_rows(*device_, lane, kernels_.reference_grey, grid.width, grid.height);
-  set_arguments(kernels_.reference_sums, grey_.cl(), grid.width, grid.height, grid.pitch, grid.row,
-                mean_.cl(), inverse_deviation_.cl());
+  set_weights(grid, options_.template_px / 6.0, lane);
+}
+
+void DepthSweeper::set_weights(const Grid& grid, double sigma_px, Lane lane) {
+  weights_.upload(gaussian(options_.template_px, sigma_px), lane);
+  set_arguments(kernels_.reference_sums, weights_.cl(), grey_.cl(), grid.width, grid.height,
+                grid.pitch, grid.row, mean_.cl(), inverse_deviation_.cl());
   launch(*device_, lane, kernels_.reference_sums, grid.row / vector_, grid.height);
 }
 
-void DepthSweeper::sweep(const Grid& grid, int neighbours, double inverse_0, double step,
-                         int layers, Lane lane) {
+void DepthSweeper::mend_edges(const Grid& grid, int neighbours, double step, Lane lane) {
+  fit_planes(grid, step, kTolerance, lane);
+  for (Buffer<float>* image :
+       {&near_, &far_, &near_inverse_, &near_score_, &far_inverse_, &far_score_}) {
+    fill(*image, grid.elements(), 0, lane);
+  }
+  set_arguments(kernels_.near_and_far, grid.height, grid.pitch, grid.row, surface_.cl(),
+                slant_x_.cl(), slant_y_.cl(), support_.cl(), near_.cl(), far_.cl());
+  launch(*device_, lane, kernels_.near_and_far, grid.row / vector_, grid.height);
+  set_weights(grid, kNarrowSigma_px, lane);
+  pass(grid, neighbours, 1, 0.5 * step, near_, near_inverse_, near_score_, lane);
+  pass(grid, neighbours, 1, 0.5 * step, far_, far_inverse_, far_score_, lane);
+  set_arguments(kernels_.choose_side, grid.height, grid.pitch, grid.row, static_cast<float>(step),
+                near_.cl(), far_.cl(), near_inverse_.cl(), near_score_.cl(), far_inverse_.cl(),
+                far_score_.cl(), inverse_.cl(), score_.cl());
+  launch(*device_, lane, kernels_.choose_side, grid.row / vector_, grid.height);
+}
+
+void DepthSweeper::sweep(const Grid& grid, int neighbours, Buffer<float>& surface, double inverse_0,
+                         double step, int layers, Lane lane) {
   const cl::CommandQueue& queue = device_->queue(lane);
   volume_.resize(area(grid.row, grid.height) * static_cast<std::size_t>(layers * neighbours));
   const double scores = static_cast<double>(area(grid.row, grid.height)) * neighbours;
@@ -215,10 +244,10 @@ void DepthSweeper::sweep(const Grid& grid, int neighbours, double inverse_0, dou
       device_->info().gpu ? layers : std::clamp(static_cast<int>(kSliceScores / scores), 1, layers);
   const auto size = [](int n) { return static_cast<cl::size_type>(n); };
   for (int first = 0; first < layers; first += slice) {
-    set_arguments(kernels_.sweep, images_.cl(), grey_.cl(), mean_.cl(), inverse_deviation_.cl(),
-                  neighbours, grid.width, grid.height, grid.pitch, grid.row, geometry_.cl(),
-                  surface_.cl(), static_cast<float>(inverse_0), static_cast<float>(step), first,
-                  layers, volume_.cl());
+    set_arguments(kernels_.sweep, weights_.cl(), images_.cl(), grey_.cl(), mean_.cl(),
+                  inverse_deviation_.cl(), neighbours, grid.width, grid.height, grid.pitch,
+                  grid.row, geometry_.cl(), surface.cl(), static_cast<float>(inverse_0),
+                  static_cast<float>(step), first, layers, volume_.cl());
     const int planes = std::min(slice, layers - first) * neighbours;
     if (vector_ == 1) {
       queue.enqueueNDRangeKernel(kernels_.sweep, cl::NullRange,
@@ -242,10 +271,10 @@ void DepthSweeper::find_peaks(const Grid& grid, int neighbours, double inverse_f
   launch(*device_, lane, kernels_.find_peaks, grid.row / vector_, grid.height);
 }
 
-void DepthSweeper::fit_planes(const Grid& grid, double step, Lane lane) {
+void DepthSweeper::fit_planes(const Grid& grid, double step, float tolerance, Lane lane) {
   set_arguments(kernels_.fit_planes, grid.height, grid.pitch, grid.row, static_cast<float>(step),
-                inverse_.cl(), score_.cl(), guess_.cl(), surface_.cl(), slant_x_.cl(),
-                slant_y_.cl());
+                tolerance, inverse_.cl(), score_.cl(), guess_.cl(), surface_.cl(), slant_x_.cl(),
+                slant_y_.cl(), support_.cl());
   launch(*device_, lane, kernels_.fit_planes, grid.row / vector_, grid.height);
 }
 
@@ -258,12 +287,14 @@ void DepthSweeper::expand(const Grid& coarse, const Grid& fine, Lane lane) {
   launch_rows(*device_, lane, kernels_.expand, fine.width, fine.height);
 }
 
-void DepthSweeper::pass(const Grid& grid, int neighbours, int reach, double step, Lane lane) {
+void DepthSweeper::pass(const Grid& grid, int neighbours, int reach, double step,
+                        Buffer<float>& surface, Buffer<float>& inverse, Buffer<float>& score,
+                        Lane lane) {
   const int layers = 2 * reach + 1;
-  sweep(grid, neighbours, -reach * step, step, layers, lane);
+  sweep(grid, neighbours, surface, -reach * step, step, layers, lane);
   set_arguments(kernels_.pick, volume_.cl(), layers, neighbours, grid.height, grid.row, grid.pitch,
-                static_cast<float>(-reach * step), static_cast<float>(step), surface_.cl(),
-                inverse_.cl(), score_.cl(), guess_.cl());
+                static_cast<float>(-reach * step), static_cast<float>(step), surface.cl(),
+                inverse.cl(), score.cl(), guess_.cl());
   launch(*device_, lane, kernels_.pick, grid.row / vector_, grid.height);
 }
 
@@ -294,27 +325,32 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
       const int samples = std::max(3, (request.samples + 1) / 2);
       const double coarse_step = range / (samples - 1);
       load(request, true, coarse, lane);
-      sweep(coarse, m, inverse_far, coarse_step, samples, lane);
+      sweep(coarse, m, surface_, inverse_far, coarse_step, samples, lane);
       find_peaks(coarse, m, inverse_far, coarse_step, samples, lane);
-      fit_planes(coarse, coarse_step, lane);
+      fit_planes(coarse, coarse_step, kFirstTolerance, lane);
       expand(coarse, fine, lane);
       load(request, false, fine, lane);
       std::swap(surface_, fine_surface_);
       std::swap(lead_, fine_lead_);
     } else {
       load(request, false, fine, lane);
-      sweep(fine, m, inverse_far, step, request.samples, lane);
+      sweep(fine, m, surface_, inverse_far, step, request.samples, lane);
       find_peaks(fine, m, inverse_far, step, request.samples, lane);
     }
     double h = 1;
     for (int i = 0; i < request.refinements; ++i, h *= 0.5) {
-      if (i > 0 || !halve) fit_planes(fine, step, lane);
-      pass(fine, m, i == 0 ? kFirstReach : 1, h * step, lane);
+      if (i > 0 || !halve) fit_planes(fine, step, i > 0 ? kTolerance : kFirstTolerance, lane);
+      pass(fine, m, i == 0 ? kFirstReach : 1, h * step, surface_, inverse_, score_, lane);
+    }
+    if (request.refinements > 0) {
+      mend_edges(fine, m, step, lane);
+      fit_planes(fine, step, kTolerance, lane);
     }
   });
 
   std::vector<float> inverse(fine.elements()), score(inverse.size()), lead(inverse.size());
-  inverse_.download(inverse, 0, lane);
+  // Refined: what the plane through the answers around says, where there is an answer.
+  (request.refinements > 0 ? surface_ : inverse_).download(inverse, 0, lane);
   score_.download(score, 0, lane);
   lead_.download(lead, 0, lane);
   for (int y = 0; y < fine.height; ++y) {

@@ -81,7 +81,8 @@ class DepthSweeper {
 
  private:
   struct Kernels {
-    cl::Kernel shrink, reference_grey, reference_sums, sweep, find_peaks, fit_planes, expand, pick;
+    cl::Kernel shrink, reference_grey, reference_sums, sweep, find_peaks, fit_planes, expand, pick,
+        near_and_far, choose_side;
   };
   /// Sizes of one level's padded images.
   struct Grid {
@@ -94,15 +95,21 @@ class DepthSweeper {
   [[nodiscard]] SweepImage::Level reduce(const DeviceImage& image, int scale, Lane lane);
   /// Puts reference, neighbours and geometry of a level in place; the surface is zero.
   void load(const SweepRequest& request, bool half, const Grid& grid, Lane lane);
-  /// Scores of `layers` layers around the surface, into the volume.
-  void sweep(const Grid& grid, int neighbours, double inverse_0, double step, int layers,
-             Lane lane);
+  /// Scores of `layers` layers around a surface, into the volume.
+  void sweep(const Grid& grid, int neighbours, Buffer<float>& surface, double inverse_0,
+             double step, int layers, Lane lane);
   void find_peaks(const Grid& grid, int neighbours, double inverse_far, double step, int samples,
                   Lane lane);
-  /// Sweeps the surface, smoothed, of half the resolution and leaves it as that of the full one.
+  /// The surface found at half the resolution, and its lead, at the full one.
   void expand(const Grid& coarse, const Grid& fine, Lane lane);
-  void fit_planes(const Grid& grid, double step, Lane lane);
-  void pass(const Grid& grid, int neighbours, int reach, double step, Lane lane);
+  void fit_planes(const Grid& grid, double step, float tolerance, Lane lane);
+  /// The best of `reach` layers to either side of a surface, into `inverse` and `score`.
+  void pass(const Grid& grid, int neighbours, int reach, double step, Buffer<float>& surface,
+            Buffer<float>& inverse, Buffer<float>& score, Lane lane);
+  /// Templates with Gaussian weights of this deviation from here on.
+  void set_weights(const Grid& grid, double sigma_px, Lane lane);
+  /// Chooses a side anew, by narrow templates, where templates see two surfaces.
+  void mend_edges(const Grid& grid, int neighbours, double step, Lane lane);
 
   std::shared_ptr<Device> device_;
   DepthSweepOptions options_;
@@ -110,8 +117,9 @@ class DepthSweeper {
   int vector_ = 1;  ///< pixels per vector
   Buffer<std::uint32_t> images_;
   Buffer<float> geometry_, grey_, mean_, inverse_deviation_;  ///< of the level
-  Buffer<float> surface_, slant_x_, slant_y_, inverse_, score_, lead_, guess_, fine_surface_,
-      fine_lead_;
+  Buffer<float> surface_, slant_x_, slant_y_, inverse_, score_, lead_, guess_, support_,
+      fine_surface_, fine_lead_, near_, far_, near_inverse_, near_score_, far_inverse_, far_score_,
+      weights_;
   Buffer<std::int16_t> volume_;
 };
 
