@@ -179,9 +179,10 @@ Examples:
   corvid bench ncc --quick
   corvid bench matching photographs/
   corvid bench tracking euroc/MH_05
+  corvid bench mapping templeRing
 )");
   std::vector<std::pair<const CLI::App*, Action>> benches;
-  for (auto* add : {add_ncc, add_matching, add_bench_tracking}) {
+  for (auto* add : {add_ncc, add_matching, add_bench_tracking, add_bench_mapping}) {
     Action action = add(*group);
     benches.emplace_back(group->get_subcommands([](const CLI::App*) { return true; }).back(),
                          std::move(action));

@@ -28,5 +28,6 @@ Action add_bench_command(CLI::App& app);
 
 /// A subcommand of `bench` in a file of its own.
 Action add_bench_tracking(CLI::App& group);
+Action add_bench_mapping(CLI::App& group);
 
 }  // namespace corvid

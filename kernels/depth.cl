@@ -4,19 +4,20 @@
 // Per neighbour and layer, with weights w (separable Gaussian, sum 1) over the template:
 //   s1 = sum w R^2, s2 = sum w R, s3 = sum w S R, s4 = sum w S, s5 = sum w S^2
 //   C  = (s3 - s2 s4) / sqrt((s1 - s2^2) (s5 - s4^2))
-// S is the neighbour as the layer shows it: pixel x is taken at inverse depth base(x) + offset. With
-// base 0 a layer is a plane that faces the camera; with an estimate of the surface as base, every
-// pixel of a template lies where the surface is, so slanted ground costs nothing and the sums stay
-// separable.
-// Fused score: mean of the C above MIN_SCORE if there are at least MIN_VIEWS of them (valid), else
-// mean of all positive C (not valid, serves to interpolate peaks and to guess only).
+// S is the neighbour as the layer shows it: pixel x is taken at inverse depth base(x) + offset.
+// With base 0 a layer is a plane that faces the camera; with an estimate of the surface as base,
+// every pixel of a template lies where the surface is, so slanted ground costs nothing and the sums
+// stay separable. Fused score: mean of the C above MIN_SCORE if there are at least MIN_VIEWS of
+// them (valid), else mean of all positive C (not valid, serves to interpolate peaks and to guess
+// only).
 //
 // Memory: images are row-major, PITCH elements per row of which PAD come before column 0 and at
 // least 2 PAD follow column `row` - 1; `row` is the width rounded up to PAD. Neighbours' images lie
 // one after the other; an element is a quad: the grey levels of (x, y), (x + 1, y), (x, y + 1),
 // (x + 1, y + 1) from the lowest byte up, so that a bilinear sample is one load.
-// S is NaN wherever a ray leaves the neighbour and R is NaN outside the reference, so every sum over
-// a window that is not wholly seen becomes NaN, which is no score: comparisons with it are false.
+// S is NaN wherever a ray leaves the neighbour and R is NaN outside the reference, so every sum
+// over a window that is not wholly seen becomes NaN, which is no score: comparisons with it are
+// false.
 //
 // Build options: VEC (pixels of a row per vector: 16 on CPUs, 1 on GPUs), RADIUS (template side
 // 2 RADIUS + 1), MIN_SCORE, MIN_VIEWS, MIN_VARIANCE
@@ -70,8 +71,8 @@ inline vuint gather(global const uint* image, vint at) {
 inline vuint gather(global const uint* image, vint at) { return image[at]; }
 #endif
 
-// To 2e-7, where v > 0 and normal. The processor's estimate of 14 bits and a step of Newton's take a
-// fraction of the time of a division.
+// To 2e-7, where v > 0 and normal. The processor's estimate of 14 bits and a step of Newton's take
+// a fraction of the time of a division.
 inline vfloat reciprocal(vfloat v) {
 #if defined(__AVX512F__) && VEC == 16
   const vfloat y = __builtin_ia32_rcp14ps512_mask(v, (vfloat)(0.0f), (ushort)0xffff);
@@ -167,8 +168,9 @@ kernel void reference_grey(global const uint* quads, int width, int height, int 
 
 // Mean and 1 / deviation of the reference's windows; NaN where there is none. weights: SIDE
 // one-dimensional ones, sum 1.
-kernel void reference_sums(constant float* weights, global const float* grey, int width, int height, int pitch, int row,
-                           global float* mean, global float* inverse_deviation) {
+kernel void reference_sums(constant float* weights, global const float* grey, int width, int height,
+                           int pitch, int row, global float* mean,
+                           global float* inverse_deviation) {
   const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
   if (x0 >= row || y < RADIUS || y >= height - RADIUS) return;
   const int at = y * pitch + PAD + x0;
@@ -197,11 +199,12 @@ kernel void reference_sums(constant float* weights, global const float* grey, in
 #if VEC == 16
 #define STRIP 10  // vectors
 #define HALO ((2 * RADIUS + VEC - 1) / VEC)
-kernel void sweep(constant float* restrict weights, global const uint* restrict images, global const float* restrict grey,
-                  global const float* restrict mean, global const float* restrict inverse_deviation,
-                  int neighbours, int width, int height, int pitch, int row,
-                  global const float* restrict geometry, global const float* restrict base,
-                  float inverse_0, float step, int first, int layers, global short* restrict volume) {
+kernel void sweep(constant float* restrict weights, global const uint* restrict images,
+                  global const float* restrict grey, global const float* restrict mean,
+                  global const float* restrict inverse_deviation, int neighbours, int width,
+                  int height, int pitch, int row, global const float* restrict geometry,
+                  global const float* restrict base, float inverse_0, float step, int first,
+                  int layers, global short* restrict volume) {
   const int x0 = get_global_id(0) * STRIP * VEC;
   if (x0 >= row) return;
   const int m = get_global_id(1) % neighbours, layer = first + get_global_id(1) / neighbours;
@@ -259,11 +262,12 @@ kernel void sweep(constant float* restrict weights, global const uint* restrict 
 #define TILE_Y 8
 #define WIDE (TILE_X + 2 * RADIUS)
 #define HIGH (TILE_Y + 2 * RADIUS)
-kernel void sweep(constant float* restrict weights, global const uint* restrict images, global const float* restrict grey,
-                  global const float* restrict mean, global const float* restrict inverse_deviation,
-                  int neighbours, int width, int height, int pitch, int row,
-                  global const float* restrict geometry, global const float* restrict base,
-                  float inverse_0, float step, int first, int layers, global short* restrict volume) {
+kernel void sweep(constant float* restrict weights, global const uint* restrict images,
+                  global const float* restrict grey, global const float* restrict mean,
+                  global const float* restrict inverse_deviation, int neighbours, int width,
+                  int height, int pitch, int row, global const float* restrict geometry,
+                  global const float* restrict base, float inverse_0, float step, int first,
+                  int layers, global short* restrict volume) {
   local float warped[HIGH][WIDE], reference[HIGH][WIDE], sums[3][HIGH][TILE_X];
   const int lx = get_local_id(0), ly = get_local_id(1);
   const int x0 = get_group_id(0) * TILE_X, y0 = get_group_id(1) * TILE_Y;
@@ -335,10 +339,10 @@ inline Fused fuse(global const short* codes, int neighbours, int row) {
 }
 
 // Best valid interior peak over depth. A valid sample at either end that is better than the best
-// peak means that the depth lies outside the interval: no answer. Images: inverse: inverse depth (by
-// the parabola through the peak), 0 where there is none; score: at the peak; lead: how much higher
-// the peak is than the best other one more than RIVAL_DISTANCE samples away; guess: inverse, or
-// where there is none that of the highest score, valid or not.
+// peak means that the depth lies outside the interval: no answer. Images: inverse: inverse depth
+// (by the parabola through the peak), 0 where there is none; score: at the peak; lead: how much
+// higher the peak is than the best other one more than RIVAL_DISTANCE samples away; guess: inverse,
+// or where there is none that of the highest score, valid or not.
 #define RIVAL_DISTANCE 3
 kernel void find_peaks(global const short* volume, int samples, int neighbours, int height, int row,
                        int pitch, float inverse_far, float inverse_step, global float* inverse,
@@ -347,7 +351,8 @@ kernel void find_peaks(global const short* volume, int samples, int neighbours, 
   if (x0 >= row || y < RADIUS || y >= height - RADIUS) return;
   const int step = neighbours * row;
   global const short* in = volume + y * samples * step + x0;
-  const Fused first = fuse(in, neighbours, row), last = fuse(in + (samples - 1) * step, neighbours, row);
+  const Fused first = fuse(in, neighbours, row),
+              last = fuse(in + (samples - 1) * step, neighbours, row);
   const vfloat end = fmax(select((vfloat)(0.0f), first.score, first.valid),
                           select((vfloat)(0.0f), last.score, last.valid));
   vfloat best = 0.0f, before = 0.0f, after = 0.0f, highest = first.score;
@@ -400,14 +405,15 @@ kernel void find_peaks(global const short* volume, int samples, int neighbours, 
 #define FIT_MIN_ANSWERS 6
 #define MAX_SLANT 0.5f  // change of inverse depth within the template, relative
 kernel void fit_planes(int height, int pitch, int row, float step, float tolerance,
-                       global const float* inverse,
-                       global const float* score, global const float* guess, global float* surface,
-                       global float* slant_x, global float* slant_y, global float* support) {
+                       global const float* inverse, global const float* score,
+                       global const float* guess, global float* surface, global float* slant_x,
+                       global float* slant_y, global float* support) {
   const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
   if (x0 >= row || y >= height) return;
   const int at = y * pitch + PAD + x0;
   const vfloat own = LOAD(inverse + at);
-  const int j_low = max(-FIT_REACH, -(y / 2 * 2)), j_high = min(FIT_REACH, (height - 1 - y) / 2 * 2);
+  const int j_low = max(-FIT_REACH, -(y / 2 * 2)),
+            j_high = min(FIT_REACH, (height - 1 - y) / 2 * 2);
 
   vfloat middle = own, middle_score = select((vfloat)(0.0f), (vfloat)(2.0f), own > 0.0f);
   for (int j = j_low; j <= j_high; j += 2) {
@@ -478,11 +484,11 @@ kernel void expand(global const float* surface, global const float* slant_x,
   fine_lead[y * pitch + PAD + x] = lead[from];
 }
 
-// Best valid layer of a few around a surface: by the parabola if it is not the first or the last. No
-// answer where a layer beside it is as good: views from one place tell nothing of depth.
-// guess: that of the highest score, valid or not.
-kernel void pick(global const short* volume, int layers, int neighbours, int height, int row, int pitch,
-                 float inverse_0, float inverse_step, global const float* surface,
+// Best valid layer of a few around a surface: by the parabola if it is not the first or the last.
+// No answer where a layer beside it is as good: views from one place tell nothing of depth. guess:
+// that of the highest score, valid or not.
+kernel void pick(global const short* volume, int layers, int neighbours, int height, int row,
+                 int pitch, float inverse_0, float inverse_step, global const float* surface,
                  global float* inverse, global float* score, global float* guess) {
   const int x0 = get_global_id(0) * VEC, y = get_global_id(1);
   if (x0 >= row || y < RADIUS || y >= height - RADIUS) return;
@@ -520,7 +526,8 @@ kernel void pick(global const short* volume, int layers, int neighbours, int hei
 }
 
 // The planes around each pixel, continued to it: the nearest and the farthest of them (49 of them,
-// every other pixel), of those on which MIN_SUPPORT answers lie. Where there are none, the pixel's own.
+// every other pixel), of those on which MIN_SUPPORT answers lie. Where there are none, the pixel's
+// own.
 #define SIDE_REACH 6
 #define MIN_SUPPORT 24.0f
 kernel void near_and_far(int height, int pitch, int row, global const float* surface,
@@ -531,11 +538,13 @@ kernel void near_and_far(int height, int pitch, int row, global const float* sur
   const int at = y * pitch + PAD + x0;
   const vfloat own = LOAD(surface + at);
   vfloat most = own, least = own;
-  const int j_low = max(-SIDE_REACH, -(y / 2 * 2)), j_high = min(SIDE_REACH, (height - 1 - y) / 2 * 2);
+  const int j_low = max(-SIDE_REACH, -(y / 2 * 2)),
+            j_high = min(SIDE_REACH, (height - 1 - y) / 2 * 2);
   for (int j = j_low; j <= j_high; j += 2) {
     for (int i = -SIDE_REACH; i <= SIDE_REACH; i += 2) {
       const int q = at + j * pitch + i;
-      const vfloat r = LOAD(surface + q) - LOAD(slant_x + q) * (float)i - LOAD(slant_y + q) * (float)j;
+      const vfloat r =
+          LOAD(surface + q) - LOAD(slant_x + q) * (float)i - LOAD(slant_y + q) * (float)j;
       const vint supported = (LOAD(support + q) >= MIN_SUPPORT) & (r > 0.0f);
       most = select(most, fmax(most, r), supported);
       least = select(least, fmin(least, r), supported);

@@ -239,7 +239,8 @@ void DepthSweeper::sweep(const Grid& grid, int neighbours, Buffer<float>& surfac
                          double step, int layers, Lane lane) {
   const cl::CommandQueue& queue = device_->queue(lane);
   volume_.resize(area(grid.row, grid.height) * static_cast<std::size_t>(layers * neighbours));
-  const double scores = static_cast<double>(area(grid.row, grid.height)) * neighbours;
+  const double scores = static_cast<double>(area(grid.width, grid.height)) * neighbours;
+  scores_ += scores * layers;
   const int slice =
       device_->info().gpu ? layers : std::clamp(static_cast<int>(kSliceScores / scores), 1, layers);
   const auto size = [](int n) { return static_cast<cl::size_type>(n); };
@@ -320,6 +321,7 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
                      std::min(coarse.width, coarse.height) >= 2 * options_.template_px;
   const double inverse_far = 1 / request.far, range = 1 / request.near - inverse_far;
   const double step = range / (request.samples - 1);
+  scores_ = 0;
   on_device("depth", [&] {
     if (halve) {
       const int samples = std::max(3, (request.samples + 1) / 2);
@@ -349,6 +351,7 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
   });
 
   std::vector<float> inverse(fine.elements()), score(inverse.size()), lead(inverse.size());
+  result.scores = scores_;
   // Refined: what the plane through the answers around says, where there is an answer.
   (request.refinements > 0 ? surface_ : inverse_).download(inverse, 0, lane);
   score_.download(score, 0, lane);

@@ -50,6 +50,7 @@ struct SweepResult {
   FloatImage depth;       ///< z in camera coordinates [map units]; 0 = no answer
   FloatImage confidence;  ///< fused score in [0, 1]; 0 = no answer
   FloatImage lead;        ///< of the best peak's score over the next best one's; 1 = no other
+  double scores = 0;      ///< coefficients computed: per pixel, neighbour and layer
 };
 
 /// Depth of a view by multi-view NCC, in two steps (algorithms.md 7).
@@ -114,7 +115,8 @@ class DepthSweeper {
   std::shared_ptr<Device> device_;
   DepthSweepOptions options_;
   Kernels kernels_;
-  int vector_ = 1;  ///< pixels per vector
+  int vector_ = 1;     ///< pixels per vector
+  double scores_ = 0;  ///< of the estimate under way
   Buffer<std::uint32_t> images_;
   Buffer<float> geometry_, grey_, mean_, inverse_deviation_;  ///< of the level
   Buffer<float> surface_, slant_x_, slant_y_, inverse_, score_, lead_, guess_, support_,

@@ -105,4 +105,30 @@ std::vector<Neighbour> choose_neighbours(const MapSnapshot& map, std::size_t ref
   return out;
 }
 
+std::vector<Neighbour> choose_neighbours(std::span<const Pose> T_world_camera, const Camera& camera,
+                                         std::size_t reference, const Eigen::Vector3d& p_scene,
+                                         const ViewChoiceOptions& options) {
+  const Eigen::Vector3d c_reference = T_world_camera[reference].translation();
+  std::vector<Candidate> candidates;
+  for (std::size_t i = 0; i < T_world_camera.size(); ++i) {
+    if (i == reference) continue;
+    const auto pixel = camera.project(T_world_camera[i].inverse() * p_scene);
+    if (!pixel || !camera.in_image(*pixel)) continue;
+    const double angle =
+        angle_between(p_scene - c_reference, p_scene - T_world_camera[i].translation());
+    if (!(angle >= options.min_angle_rad && angle <= options.max_angle_rad)) continue;
+    candidates.push_back({{i, angle, 1}, angle_weight(angle, options.best_angle_rad)});
+  }
+  std::sort(candidates.begin(), candidates.end(), [](const Candidate& x, const Candidate& y) {
+    return x.score != y.score ? x.score > y.score : x.neighbour.index < y.neighbour.index;
+  });
+  std::vector<Neighbour> out;
+  for (const Candidate& c : candidates) {
+    if (static_cast<int>(out.size()) < options.neighbours) out.push_back(c.neighbour);
+  }
+  std::sort(out.begin(), out.end(),
+            [](const Neighbour& x, const Neighbour& y) { return x.index < y.index; });
+  return out;
+}
+
 }  // namespace corvid

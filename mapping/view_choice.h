@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "corvid/map.h"
@@ -44,6 +45,13 @@ struct ViewChoiceOptions {
 /// Sorted by index; empty if nothing overlaps.
 [[nodiscard]] std::vector<Neighbour> choose_neighbours(const MapSnapshot& map,
                                                        std::size_t reference,
+                                                       const ViewChoiceOptions& options);
+
+/// The same where there are no landmarks, but it is known where the scene is: of the views that see
+/// the point in their image, by the angle between their rays to it. `overlap` is 1.
+[[nodiscard]] std::vector<Neighbour> choose_neighbours(std::span<const Pose> T_world_camera,
+                                                       const Camera& camera, std::size_t reference,
+                                                       const Eigen::Vector3d& p_scene,
                                                        const ViewChoiceOptions& options);
 
 }  // namespace corvid
