@@ -24,6 +24,7 @@ Action add_doctor_command(CLI::App& app);
 Action add_demo_command(CLI::App& app);
 Action add_options_command(CLI::App& app);
 Action add_match_command(CLI::App& app);
+Action add_mvs_command(CLI::App& app);
 Action add_bench_command(CLI::App& app);
 
 /// A subcommand of `bench` in a file of its own.

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <random>
+#include <utility>
 
 #include "bench/timing.h"
 
@@ -28,11 +29,12 @@ MapSnapshot true_map(const MappingScene& scene, int landmarks_per_view) {
   for (const TrueView& view : scene.views) {
     auto keyframe = std::make_shared<Keyframe>();
     keyframe->id = KeyframeId(static_cast<std::uint32_t>(keyframes.size()));
-    keyframe->frame = view.frame;
+    keyframe->frame = std::make_shared<const StoredFrame>(view.frame);
     keyframe->T_world_camera = view.T_world_camera;
     keyframes.push_back(std::move(keyframe));
     T_camera_world.push_back(view.T_world_camera.inverse());
   }
+  std::vector<Landmark> landmarks;
   std::mt19937 random(7);
   for (const TrueView& view : scene.views) {
     for (int i = 0; i < landmarks_per_view; ++i) {
@@ -42,7 +44,7 @@ MapSnapshot true_map(const MappingScene& scene, int landmarks_per_view) {
       const auto ray = camera.unproject(pixel);
       if (!(z > 0) || !ray) continue;
       Landmark landmark;
-      landmark.id = LandmarkId(static_cast<std::uint32_t>(map.landmarks.size()));
+      landmark.id = LandmarkId(static_cast<std::uint32_t>(landmarks.size()));
       landmark.p_world = view.T_world_camera * Eigen::Vector3d(*ray * (z / ray->z()));
       for (std::size_t j = 0; j < keyframes.size(); ++j) {
         const Eigen::Vector3d p = T_camera_world[j] * landmark.p_world;
@@ -52,10 +54,11 @@ MapSnapshot true_map(const MappingScene& scene, int landmarks_per_view) {
         keyframes[j]->observations.push_back({landmark.id, *seen});
         ++landmark.observations;
       }
-      map.landmarks.push_back(landmark);
+      landmarks.push_back(landmark);
     }
   }
   map.keyframes.assign(keyframes.begin(), keyframes.end());
+  map.landmarks = Landmarks(std::move(landmarks));
   return map;
 }
 

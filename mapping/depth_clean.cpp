@@ -13,6 +13,13 @@ void take_away(DepthMap& map, int x, int y) {
   map.confidence(x, y) = 0;
 }
 
+/// In camera coordinates.
+Eigen::Vector3d point_of(const DepthMap& map, int x, int y) {
+  const double z = map.depth(x, y);
+  return {(x - map.camera.cx_px) / map.camera.fx_px * z,
+          (y - map.camera.cy_px) / map.camera.fy_px * z, z};
+}
+
 enum class Verdict { unknown, confirmed, contradicted };
 
 Verdict ask(const DepthWitness& witness, const Eigen::Vector3d& p_camera, double tolerance) {
@@ -63,10 +70,8 @@ int remove_contradicted(DepthMap& map, std::span<const DepthWitness> witnesses, 
   for (int y = 0; y < map.depth.height(); ++y) {
     rows.piece();
     for (int x = 0; x < map.depth.width(); ++x) {
-      const double z = map.depth(x, y);
-      if (!(z > 0)) continue;
-      const Eigen::Vector3d p((x - map.camera.cx_px) / map.camera.fx_px * z,
-                              (y - map.camera.cy_px) / map.camera.fy_px * z, z);
+      if (!(map.depth(x, y) > 0)) continue;
+      const Eigen::Vector3d p = point_of(map, x, y);
       bool contradicted = false, confirmed = false;
       for (const DepthWitness& witness : witnesses) {
         const Verdict verdict = ask(witness, p, tolerance);
@@ -79,6 +84,22 @@ int remove_contradicted(DepthMap& map, std::span<const DepthWitness> witnesses, 
     }
   }
   return removed;
+}
+
+Image<std::uint8_t> count_agreeing(const DepthMap& map, std::span<const DepthWitness> witnesses,
+                                   double tolerance) {
+  Image<std::uint8_t> count(map.depth.width(), map.depth.height());
+  for (int y = 0; y < count.height(); ++y) {
+    for (int x = 0; x < count.width(); ++x) {
+      if (!(map.depth(x, y) > 0)) continue;
+      const Eigen::Vector3d p = point_of(map, x, y);
+      const auto agree = std::count_if(witnesses.begin(), witnesses.end(), [&](const auto& w) {
+        return ask(w, p, tolerance) == Verdict::confirmed;
+      });
+      count(x, y) = static_cast<std::uint8_t>(std::min<std::ptrdiff_t>(1 + agree, 255));
+    }
+  }
+  return count;
 }
 
 int remove_speckles(DepthMap& map, int min_rays, double max_jump) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <span>
 
 #include "corvid/map.h"
@@ -25,6 +26,12 @@ struct DepthWitness {
 /// @return how many were taken away.
 int remove_contradicted(DepthMap& map, std::span<const DepthWitness> witnesses,
                         double tolerance = 0.02, const SliceEnd& slice_end = {});
+
+/// How many views see each answer where it is: its own and the witnesses that confirm it within
+/// `tolerance` (relative). 0: no answer.
+[[nodiscard]] Image<std::uint8_t> count_agreeing(const DepthMap& map,
+                                                 std::span<const DepthWitness> witnesses,
+                                                 double tolerance);
 
 /// Takes away islands of fewer than `min_rays` answers; 4-neighbours belong together if their
 /// depths differ by less than `max_jump` (relative).

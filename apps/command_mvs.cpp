@@ -1,0 +1,180 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <memory>
+#include <optional>
+#include <ostream>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "apps/command_list.h"
+#include "apps/mvs_report.h"
+#include "apps/opencl_trouble.h"
+#include "apps/program_source.h"
+#include "apps/report_pictures.h"
+#include "apps/signal_guard.h"
+#include "core/associate.h"
+#include "core/log.h"
+#include "core/stopwatch.h"
+#include "io/atomic_file.h"
+#include "io/image_encode.h"
+#include "io/mesh_files.h"
+#include "mapping/still_depth.h"
+
+namespace corvid {
+namespace {
+
+namespace fs = std::filesystem;
+constexpr const char* kMarker = "mvs.json";
+constexpr int kWidestRays = 1100;  ///< of a map, unless --scale says otherwise
+
+struct Arguments {
+  SourceArguments source;
+  std::string out, device = "auto";
+  int neighbours = 4;
+  std::optional<int> scale;
+  std::optional<double> near, far;
+};
+
+/// The frames that have a true pose, of the first one's camera.
+Expected<std::vector<StillView>> read_views(FrameSource& source, const std::stop_token& stop) {
+  std::vector<FramePtr> frames;
+  std::vector<std::int64_t> times_ns;
+  while (true) {
+    auto frame = source.next(stop);
+    if (!frame) return tl::unexpected(frame.error());
+    if (!*frame) break;
+    if (stop.stop_requested()) return fail(ErrorCode::interrupted, "stopped", source.info().path);
+    times_ns.push_back((*frame)->time_ns);
+    frames.push_back(std::move(*frame));
+  }
+  const auto poses = true_poses(times_ns, source.truth());
+  std::vector<StillView> views;
+  for (std::size_t i = 0; i < std::min(frames.size(), poses.size()); ++i) {
+    if (poses[i]) views.push_back({frames[i], *poses[i]});
+  }
+  if (views.empty()) {
+    return fail(ErrorCode::unsupported, "no image has a pose", source.info().path,
+                "depth of stills needs calibrated views: Middlebury, Strecha, or a COLMAP model; "
+                "`corvid replay` finds the poses of others");
+  }
+  if (views.size() < frames.size())
+    log().warn("{} of {} images have no pose and are left out", frames.size() - views.size(),
+               frames.size());
+  return views;
+}
+
+Expected<StillDepthOptions> depth_options(const Arguments& arguments, const Camera& camera) {
+  StillDepthOptions options;
+  options.neighbours = arguments.neighbours;
+  options.scale =
+      arguments.scale.value_or(std::max(1, (camera.width_px + kWidestRays - 1) / kWidestRays));
+  if (arguments.near.has_value() != arguments.far.has_value()) {
+    return fail(ErrorCode::invalid_argument, "one of the two is missing", "--near, --far",
+                "give both, in the unit of the poses");
+  }
+  if (arguments.near) {
+    if (!(*arguments.near > 0 && *arguments.near < *arguments.far)) {
+      return fail(ErrorCode::invalid_argument, "must be 0 < near < far", "--near, --far");
+    }
+    options.interval = DepthInterval{*arguments.near, *arguments.far};
+  }
+  return options;
+}
+
+/// The whole folder. What is made of the depth maps beyond points has its place here.
+Expected<void> write_folder(const MvsRun& run, const TriangleMesh& points, AtomicFolder& folder) {
+  const auto put = [&](const fs::path& name, const std::string& bytes) {
+    return write_file_atomically(folder.path() / name, bytes);
+  };
+  for (const StillDepth& d : run.depths) {
+    if (!d.refusal.empty()) continue;
+    const std::string stem = fmt::format("view_{:04d}", d.map.keyframe.value);
+    const DepthPicture depth = picture_of_depth(d.map.depth);
+    const MeshPicture confidence = picture_of_confidence(d.map.confidence);
+    for (const auto& [name, bytes] :
+         {std::pair(stem + ".pfm", encode_pfm(d.map.depth)),
+          std::pair(stem + "_depth.png", encode_png(depth.picture.colour, depth.picture.alpha)),
+          std::pair(stem + "_confidence.png", encode_png(confidence.colour, confidence.alpha))}) {
+      if (auto written = put(fs::path("depth") / name, bytes); !written) return written;
+    }
+  }
+  if (!points.vertices.empty()) {
+    if (auto written = write_mesh(points, folder.path() / "points.ply"); !written) return written;
+  }
+  if (auto written = put("report.html", mvs_html(run)); !written) return written;
+  return put(kMarker, mvs_json(run));
+}
+
+Expected<ExitCode> run_mvs(const Arguments& arguments, Context& context) {
+  auto folder = AtomicFolder::create(arguments.out, kMarker);  // before minutes of work
+  if (!folder) return tl::unexpected(folder.error());
+  auto source = arguments.source.open();
+  if (!source) return tl::unexpected(source.error());
+  log().info("{}", describe((*source)->info()));
+  const SignalGuard signals;
+  const auto views = read_views(**source, signals.token());
+  if (!views) return tl::unexpected(views.error());
+  const auto options = depth_options(arguments, *views->front().frame->camera);
+  if (!options) return tl::unexpected(options.error());
+  auto device = open_explained([&] { return Device::open(arguments.device); });
+  if (!device) return tl::unexpected(device.error());
+  Stopwatch watch;
+  const auto depths = depth_of_stills(*device, *views, *options, [&](std::size_t i) {
+    log().info("depth of view {} of {}: {}", i + 1, views->size(), (*views)[i].frame->name);
+    return !signals.token().stop_requested();
+  });
+  if (!depths) {
+    Error error = depths.error();
+    if (error.where == "the views") error.where = arguments.source.spec;
+    return tl::unexpected(std::move(error));
+  }
+  const TriangleMesh points = agreed_points(*views, *depths);
+  const MvsRun run{arguments.source.spec,  (*device)->info().name, CORVID_VERSION, *views, *depths,
+                   points.vertices.size(), 1e-3 * watch.lap_ms()};
+  std::size_t maps = 0;
+  for (const StillDepth& d : *depths) {
+    maps += d.refusal.empty();
+    if (!d.refusal.empty())
+      log().warn("{}: {}", (*views)[d.map.keyframe.value].frame->name, d.refusal);
+  }
+  if (auto written = write_folder(run, points, *folder); !written)
+    return tl::unexpected(written.error());
+  if (auto done = folder->commit(); !done) return tl::unexpected(done.error());
+  context.out << fmt::format(
+      "{} depth maps of {} views, {} points that 3 views agree on, {:.1f} s: {}\n", maps,
+      views->size(), run.points, run.seconds, (fs::path(arguments.out) / "report.html").string());
+  return maps > 0 ? ExitCode::ok : ExitCode::no_estimate;
+}
+
+}  // namespace
+
+Action add_mvs_command(CLI::App& app) {
+  auto a = std::make_shared<Arguments>();
+  CLI::App* command =
+      app.add_subcommand("mvs", "Depth maps and points of calibrated stills with known poses");
+  a->source.add_to(*command);
+  command->add_option("--out", a->out, "Folder for depth maps, points and report")->required();
+  command->add_option("--device", a->device, "auto, cpu, gpu, or a number from `corvid doctor`")
+      ->envname("CORVID_DEVICE")
+      ->capture_default_str();
+  command->add_option("--neighbours", a->neighbours, "Views that each is compared with")
+      ->check(CLI::Range(2, 16))
+      ->capture_default_str();
+  command->add_option("--scale", a->scale, "One ray per n x n pixels [by the image's size]")
+      ->check(CLI::Range(1, 16));
+  command->add_option("--near", a->near, "Nearest depth, in the unit of the poses [looked for]");
+  command->add_option("--far", a->far, "Farthest depth");
+  command->footer(R"(
+Without --near and --far the depth is looked for around the point that the cameras look at.
+
+Examples:
+  corvid mvs templeRing/ --out temple
+  corvid mvs aerial_colmap/ --out aerial --near 60 --far 140
+)");
+  return [a](Context& context) { return run_mvs(*a, context); };
+}
+
+}  // namespace corvid

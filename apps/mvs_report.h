@@ -1,0 +1,25 @@
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <string>
+
+#include "mapping/still_depth.h"
+
+namespace corvid {
+
+/// What `corvid mvs` did, for its page and its JSON file.
+struct MvsRun {
+  std::string source, device, version;
+  std::span<const StillView> views;
+  std::span<const StillDepth> depths;
+  std::size_t points = 0;  ///< that at least 3 views agree on
+  double seconds = 0;
+};
+
+/// One self-contained page: a table of all views, pictures of image, depth and confidence of some.
+[[nodiscard]] std::string mvs_html(const MvsRun& run);
+/// The same numbers (docs/formats.md).
+[[nodiscard]] std::string mvs_json(const MvsRun& run);
+
+}  // namespace corvid
