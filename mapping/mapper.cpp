@@ -264,7 +264,7 @@ struct Mapper::Impl {
     }
     // The kernels count the elements of their volumes in 32 bits.
     const double elements = (depth->camera.width_px + 64.0) * (depth->camera.height_px + 32.0) *
-                            std::max(options.depth_samples, 24 * options.neighbours);
+                            options.neighbours * std::max(0.125 * options.depth_samples, 7.0);
     if (elements > 2e9) {
       log().warn(
           "keyframe {}: no depth: {:.0f} elements are too many for one sweep; raise "

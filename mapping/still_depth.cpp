@@ -22,6 +22,7 @@ constexpr double kMinIsland = 2e-4;    ///< share of the rays
 constexpr double kAgree = 0.01;        ///< relative, between depth maps
 constexpr int kWitnesses = 8;          ///< views asked whether they agree
 constexpr int kRefinements = 2;
+constexpr double kMaxScores = 268435456;  ///< of a sweep, for the memory that they take
 constexpr std::size_t kImageBudget_bytes = 512UL << 20;
 
 /// Everything that the views share.
@@ -61,7 +62,11 @@ struct Stills {
       T.push_back(poses[n.index].inverse() * poses[i]);
       views.push_back({held.back().get(), map.camera, T.back()});
     }
-    out.samples = depth_samples(map.camera, T, out.interval);
+    // The scores of half the resolution and half the samples, 2 bytes each.
+    const double per_sample = 0.125 * map.camera.width_px * map.camera.height_px *
+                              static_cast<double>(std::max<std::size_t>(chosen.size(), 1));
+    out.samples = std::min(depth_samples(map.camera, T, out.interval),
+                           std::max(16, static_cast<int>(kMaxScores / per_sample)));
     SweepResult result = sweeper.estimate({reference.get(), map.camera, views, out.interval.near,
                                            out.interval.far, out.samples, true, kRefinements});
     map.depth = std::move(result.depth);
