@@ -24,7 +24,33 @@ struct Part {
   std::vector<MapTrack*> tracks;  // of each point
 };
 
-/// The landmarks that keyframes marked `moving` see, with all their views in keyframes >= first.
+constexpr std::size_t kMostFixedViews = 16;  ///< of a landmark, in keyframes that do not move
+
+/// Which of a landmark's views count: all in keyframes that move, and of the others, evenly spread,
+/// so many that more would hardly say more: a landmark that is found again and again on a long
+/// flight would make every adjustment slower than the one before.
+std::vector<const KeyframeView*> views_that_count(const MapTrack& track, int first,
+                                                  const std::vector<std::uint8_t>& moving) {
+  const auto stays = [&](const KeyframeView& v) {
+    return v.keyframe >= first && moving[static_cast<std::size_t>(v.keyframe)] == 0;
+  };
+  const auto fixed =
+      static_cast<std::size_t>(std::count_if(track.views.begin(), track.views.end(), stays));
+  const std::size_t kept = std::min(fixed, kMostFixedViews);
+  std::vector<const KeyframeView*> counted;
+  std::size_t i = 0;
+  for (const KeyframeView& v : track.views) {
+    if (v.keyframe < first) continue;
+    if (stays(v)) {
+      ++i;
+      if (i * kept / fixed == (i - 1) * kept / fixed) continue;
+    }
+    counted.push_back(&v);
+  }
+  return counted;
+}
+
+/// The landmarks that keyframes marked `moving` see, with their views in keyframes >= first.
 Part collect(MapData& map, const std::vector<std::uint8_t>& moving, int first) {
   Part part;
   part.problem.camera = map.camera;
@@ -44,16 +70,15 @@ Part collect(MapData& map, const std::vector<std::uint8_t>& moving, int first) {
     const int point = static_cast<int>(part.tracks.size());
     part.tracks.push_back(&track);
     part.problem.points.push_back(track.p_world);
-    for (const KeyframeView& v : track.views) {
-      if (v.keyframe < first) continue;
-      const auto k = static_cast<std::size_t>(v.keyframe);
+    for (const KeyframeView* v : views_that_count(track, first, moving)) {
+      const auto k = static_cast<std::size_t>(v->keyframe);
       if (pose_of[k] < 0) {
         pose_of[k] = static_cast<int>(part.keyframes.size());
-        part.keyframes.push_back(v.keyframe);
+        part.keyframes.push_back(v->keyframe);
         part.problem.T_world_camera.push_back(map.keyframes[k].T_world_camera);
         part.problem.fixed.push_back(moving[k] == 0 ? 1 : 0);
       }
-      part.problem.observations.push_back({pose_of[k], point, v.pixel, v.sigma_px});
+      part.problem.observations.push_back({pose_of[k], point, v->pixel, v->sigma_px});
     }
   }
   for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
