@@ -25,6 +25,12 @@ class BitGrid {
   void set(const Eigen::Vector3i& p) { words_[word(p)] |= std::uint64_t{1} << (p.x() & 63); }
   /// Whether any of the 8x8x8 voxels from `low` on is set. @pre low.x() is a multiple of 8.
   [[nodiscard]] bool any_in_block(const Eigen::Vector3i& low) const;
+  /// 64 voxels of a row from x = 64 * i on, the lowest bit first; 0 outside of the box.
+  [[nodiscard]] std::uint64_t bits(int i, int y, int z) const {
+    if (i < 0 || y < 0 || z < 0 || y >= size_.y() || z >= size_.z()) return 0;
+    if (static_cast<std::size_t>(i) >= row_words_) return 0;
+    return words_[word({64 * i, y, z})];
+  }
   [[nodiscard]] std::size_t count() const;
   /// @pre the same size.
   BitGrid& operator|=(const BitGrid& other);
