@@ -174,7 +174,7 @@ class CutMesher {
 
   void add_cell(const Eigen::Vector3i& cell) {
     unsigned inside = 0;
-    bool in_volume = true, in_crust = false;
+    bool in_volume = true;
     for (int c = 0; c < 8; ++c) {
       const Eigen::Vector3i p = corner(cell, c);
       if (!l_.solid.contains(p)) {
@@ -182,9 +182,8 @@ class CutMesher {
         continue;
       }
       if (l_.solid.test(p)) inside |= 1U << c;
-      in_crust = in_crust || l_.crust.test(p);
     }
-    if (!closed_ && !(in_volume && in_crust)) return;
+    if (!closed_ && !(in_volume && any_supported(cell, inside))) return;
     for (const auto& triangle : cell_triangles(static_cast<std::uint8_t>(inside))) {
       std::array<std::uint32_t, 3> face{};
       for (std::size_t i = 0; i < 3; ++i) {
@@ -193,6 +192,15 @@ class CutMesher {
       }
       mesh_.triangles.push_back(face);
     }
+  }
+
+  /// Whether measurements support a crossing of the surface with an edge of the cell.
+  [[nodiscard]] bool any_supported(const Eigen::Vector3i& cell, unsigned inside) const {
+    return std::any_of(cell_edges().begin(), cell_edges().end(), [&](const CellEdge& edge) {
+      const int to = edge.from | 1 << edge.axis;
+      return (inside >> edge.from & 1U) != (inside >> to & 1U) &&
+             field_.supported(corner(cell, edge.from)) && field_.supported(corner(cell, to));
+    });
   }
 
   /// @param upper  1 if the edge starts in the upper layer of the cells.

@@ -10,8 +10,7 @@ namespace corvid {
 /// A labelled volume.
 struct CutLabels {
   const CutVolume& volume;
-  const BitGrid& solid;  ///< inside the surface
-  const BitGrid& crust;
+  const BitGrid& solid;       ///< inside the surface
   const CrustBlocks& blocks;  ///< of the crust
   const CutDistances& distances;
 };
@@ -25,7 +24,8 @@ struct CutLabels {
 /// Pieces of the surface that hang together but that hardly any measurement supports (a quarter of
 /// the vertices, and `min_island` of the largest support) are left out as a whole, never the
 /// largest.
-/// @param closed  false: leaves out the caps and all that lies wholly outside of the crust.
+/// @param closed  false: leaves out the caps and every cell of the grid in which no crossing was
+///        measured from both sides.
 [[nodiscard]] TriangleMesh mesh_cut(const CutLabels& labels, int smoothing, double min_island,
                                     bool closed, int threads);
 

@@ -125,7 +125,7 @@ class Cutter {
       solid = solid_voxels(flow, evidence, threads_);
     }
     if (!begin("mesh")) return interrupted();
-    out_.mesh = mesh_cut({volume_, solid, crust_, blocks_, distances}, options_.smoothing,
+    out_.mesh = mesh_cut({volume_, solid, blocks_, distances}, options_.smoothing,
                          options_.min_island, options_.closed, threads_);
     if (!begin("colours")) return interrupted();
     std::vector<const ColourImage*> colours;
@@ -153,7 +153,8 @@ class Cutter {
         if (points.points == 0) return no_points();
         crust_ = points.voxels.within_4();
         blocks_ = CrustBlocks(crust_);
-        constexpr std::size_t kPlaceBytes = GridFlow::kVoxelBytes + 3 + 2;  // votes and distances
+        // The flow with its queues, votes, distances.
+        constexpr std::size_t kPlaceBytes = GridFlow::kVoxelBytes + 4 + 3 + 2;
         bytes += static_cast<double>(kPlaceBytes * blocks_.places());
         s.points = points.points;
       }
