@@ -301,22 +301,25 @@ struct BlockSums {
   void add(const CutView& view, const Eigen::Vector3i& origin, float voxel_size,
            const std::array<std::uint8_t, 64>& rows) {
     constexpr float kReach = CutDistances::kReach;
+    constexpr float kSmooth = 2;  // so near the surface, depth is interpolated [voxels]
     const float per_voxel = 1 / voxel_size;
+    const Eigen::Vector3f step = view.axes().col(0);
     for (int row = 0; row < 64; ++row) {
       const Eigen::Vector3f start =
           view.origin() +
           view.axes() * (origin + Eigen::Vector3i(0, row & 7, row >> 3)).cast<float>();
       for (unsigned left = rows[static_cast<std::size_t>(row)]; left != 0; left &= left - 1) {
         const int x = std::countr_zero(left);
-        const Eigen::Vector3f p = start + static_cast<float>(x) * view.axes().col(0);
+        const Eigen::Vector3f p = start + static_cast<float>(x) * step;
         const std::ptrdiff_t pixel = view.pixel(p);
         if (pixel < 0) continue;
-        float d = view.depth(pixel);
-        if (!(d > p.z() - 2 * kReach * voxel_size)) continue;
-        if (d < p.z() + 2 * kReach * voxel_size) {
-          d = view.smooth_depth(p, pixel, kReach * voxel_size);
+        const float d = view.depth(pixel);
+        if (!(d > 0)) continue;
+        float in_front = (d - p.z()) * per_voxel;
+        if (!(in_front > -kReach)) continue;
+        if (std::abs(in_front) < kSmooth) {
+          in_front = (view.smooth_depth(p, pixel, kReach * voxel_size) - p.z()) * per_voxel;
         }
-        const float in_front = (d - p.z()) * per_voxel;
         const float w = std::min(view.confidence(pixel), 1.F);
         if (!(in_front > -kReach && w > 0)) continue;
         const auto i = static_cast<std::size_t>(8 * row + x);

@@ -1,12 +1,14 @@
 // The snapshot of a folder of calibrated stills with true poses, stage by stage: depth maps of all
 // views against their 4 nearest ones, then the cut at each voxel size. For work on the cut: it
 // builds without the engine.
-//   cut_bench FOLDER DEVICE DEPTH_SCALE LOW_X LOW_Y LOW_Z HIGH_X HIGH_Y HIGH_Z VOXEL... [--out
-//   FILE.ply]
+//   cut_bench FOLDER DEVICE DEPTH_SCALE LOW_X LOW_Y LOW_Z HIGH_X HIGH_Y HIGH_Z VOXEL...
+//             [--out FILE.ply]
 #include <fmt/format.h>
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
+#include <cstdint>
 #include <cstdlib>
 #include <ctime>
 #include <iostream>
@@ -127,6 +129,22 @@ ColourImage reduced(const ColourImage& image, int scale) {
   return out;
 }
 
+/// Edges that do not have exactly two faces which run along them in opposite directions.
+std::size_t broken_edges(const TriangleMesh& mesh) {
+  std::vector<std::array<std::uint32_t, 2>> edges;
+  for (const auto& f : mesh.triangles) {
+    for (std::size_t i = 0; i < 3; ++i) edges.push_back({f[i], f[(i + 1) % 3]});
+  }
+  std::sort(edges.begin(), edges.end());
+  std::size_t broken = 0;
+  for (std::size_t i = 0; i < edges.size(); ++i) {
+    const bool twice = i > 0 && edges[i] == edges[i - 1];
+    const std::array<std::uint32_t, 2> back{edges[i][1], edges[i][0]};
+    broken += twice || !std::binary_search(edges.begin(), edges.end(), back);
+  }
+  return broken;
+}
+
 /// Of all threads of this process [s].
 double processor_s() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
 
@@ -171,11 +189,12 @@ int run(std::vector<std::string> arguments) {
     const SurfaceCutStatistics& s = cut->statistics;
     std::cout << fmt::format(
         "{:.2f} M voxels, {:.2f} M of crust, {:.2f} M points: graph {:.2f} s, flow {:.2f} s, mesh "
-        "{:.2f} s ({:.2f} s of processor time in all), {:.0f} MB; flow {}, {} triangles\n",
+        "{:.2f} s ({:.2f} s of processor time in all), {:.0f} MB; flow {}, {} triangles, {} broken "
+        "edges\n",
         1e-6 * static_cast<double>(s.voxels), 1e-6 * static_cast<double>(s.crust_voxels),
         1e-6 * static_cast<double>(s.points), s.graph_s, s.maxflow_s, s.mesh_s,
         processor_s() - before_s, 1e-6 * static_cast<double>(s.peak_bytes), s.flow,
-        cut->mesh.triangles.size());
+        cut->mesh.triangles.size(), broken_edges(cut->mesh));
     if (!out.empty()) {
       if (auto written = write_mesh(cut->mesh, out); !written) return failed(written.error());
     }
