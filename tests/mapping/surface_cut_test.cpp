@@ -152,6 +152,14 @@ TEST(SurfaceCut, NoiseOfAVoxelLeavesAClosedSurfaceWithoutBias) {
   EXPECT_NEAR(testing::volume(cut.mesh), 4.0 / 3 * M_PI, 0.12);
 }
 
+TEST(SurfaceCut, WithoutACostOfVolumeVotesAndLabelsAloneHoldTheSurface) {
+  SurfaceCutOptions options = ball_options();
+  options.ballooning = 0;
+  const SurfaceCut cut = cut_of(ball_views(), options);
+  EXPECT_TRUE(topology(cut.mesh).closed_manifold());
+  EXPECT_NEAR(testing::volume(cut.mesh), 4.0 / 3 * M_PI, 0.15);
+}
+
 TEST(SurfaceCut, AHoleInTheMeasurementsIsClosedByASmallSurface) {
   // No ray meets the ball's top cap, 0.6 wide.
   Views views = ball_views();
