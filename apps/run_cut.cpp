@@ -38,7 +38,8 @@ std::vector<Seen> largest_segment(const RunResult& result) {
 /// What the keyframe's camera saw, on the pinhole of its depth map; empty without an image.
 ColourImage colours_of(const Seen& seen, const Camera& lens) {
   if (!seen.keyframe->frame) return {};
-  const Frame& frame = *seen.keyframe->frame;
+  const FramePtr loaded = seen.keyframe->frame->load();
+  const Frame& frame = *loaded;
   const auto map = [&] {
     return WarpMap::between(lens, seen.depth->camera, Eigen::Matrix3d::Identity());
   };
