@@ -16,7 +16,7 @@ namespace corvid {
 namespace {
 
 struct Arguments {
-  std::string run, format;
+  std::string run, format, surface = "live";
   std::optional<std::string> out;
 };
 
@@ -31,14 +31,21 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
     context.out << out.string() << '\n';
     return ExitCode::ok;
   }
-  const auto mesh = load_run_mesh(folder);
+  const RunSurface surface = arguments.surface == "cut" ? RunSurface::cut : RunSurface::live;
+  const std::string stem = run_mesh_stem(surface);
+  const auto mesh = load_run_mesh(folder, surface);
   if (!mesh) return tl::unexpected(mesh.error());
+  if (mesh->empty() && surface == RunSurface::cut) {
+    return fail(ErrorCode::not_found, "the run has no surface by graph cut", arguments.run,
+                "fly it with `corvid replay --surface cut` or `both`");
+  }
   if (mesh->empty()) {
     return fail(ErrorCode::not_found, "the run made no mesh", arguments.run,
-                "it was flown with --no-mapping, or saw too little to map; its report says more");
+                "it was flown with --no-mapping or --surface cut, or saw too little to map; its "
+                "report says more");
   }
   if (arguments.format == "drc" || arguments.format == "glb") {  // the run's own, byte for byte
-    const std::string name = "mesh." + arguments.format;
+    const std::string name = stem + "." + arguments.format;
     const auto own = folder / name;
     const auto bytes = read_file_bytes(own);
     if (!bytes) return tl::unexpected(bytes.error());
@@ -54,7 +61,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   }
   const auto format = mesh_format_from_name(arguments.format);
   const std::string name =
-      arguments.format == "glb-plain" ? "mesh-plain.glb" : "mesh." + arguments.format;
+      stem + (arguments.format == "glb-plain" ? "-plain.glb" : "." + arguments.format);
   const auto out = out_or(name.c_str());
   MeshWriteOptions options;
   options.z_up = run_is_on_earth(folder);
@@ -75,12 +82,18 @@ Action add_export_command(CLI::App& app) {
   command->add_option("--format", a->format, "ply, obj, glb, glb-plain, drc or colmap")
       ->required()
       ->check(CLI::IsMember({"ply", "obj", "glb", "glb-plain", "drc", "colmap"}));
+  command
+      ->add_option("--surface", a->surface,
+                   "live: the fused one; cut: the minimal one, of a run flown with --surface cut")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"live", "cut"}));
   command->add_option("--out", a->out,
                       "File (colmap: new folder) to write, through symbolic links, never a device "
                       "or a pipe; default: inside the run's folder");
   command->footer(R"(
 Examples:
   corvid export run --format ply                          run/mesh.ply
+  corvid export run --format glb --surface cut            run/mesh-cut.glb
   corvid export run --format colmap --out for-openmvs     sparse/ and images/
 )");
   return [a](Context& context) { return run(*a, context); };

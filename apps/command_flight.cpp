@@ -16,6 +16,7 @@
 #include "apps/program_source.h"
 #include "apps/progress.h"
 #include "apps/report_numbers.h"
+#include "apps/run_cut.h"
 #include "apps/run_folder.h"
 #include "apps/surface_errors.h"
 #include "core/clock.h"
@@ -80,23 +81,27 @@ std::function<bool(const Eigen::Vector3d&)> seen_by(const SyntheticFlight& fligh
 
 struct Truth {
   std::optional<TrajectoryErrors> trajectory;
-  std::optional<SurfaceErrors> surface;
+  std::optional<SurfaceErrors> surface, cut;
 };
 
-Truth compare(const RunResult& result, const FrameSource& source, const Trajectory& given) {
+Truth compare(const RunResult& result, const SurfaceCut* cut, const FrameSource& source,
+              const Trajectory& given) {
   Truth truth;
   const Trajectory poses = given.empty() ? source.truth() : given;
   if (poses.empty()) return truth;
   truth.trajectory = evaluate(result.trajectory, poses);
-  if (!truth.trajectory->problem.empty() || result.mesh.empty()) return truth;
+  if (!truth.trajectory->problem.empty() || (result.mesh.empty() && !cut)) return truth;
   if (const auto surface = source.true_surface()) {
     log().info("comparing the mesh with the true surface");
     SurfaceOptions options;
     if (const auto* flight = dynamic_cast<const SyntheticFlight*>(&source)) {
       options.seen = seen_by(*flight);
     }
-    truth.surface =
-        compare_surfaces(result.mesh, *surface, truth.trajectory->T_truth_estimate, options);
+    const auto errors = [&](const TriangleMesh& mesh) {
+      return compare_surfaces(mesh, *surface, truth.trajectory->T_truth_estimate, options);
+    };
+    if (!result.mesh.empty()) truth.surface = errors(result.mesh);
+    if (cut && !cut->mesh.empty()) truth.cut = errors(cut->mesh);
   }
   return truth;
 }
@@ -150,8 +155,8 @@ std::string describe_scale(const RunResult& result) {
       most->positions, most->rmse_m, 100 * std::sqrt(most->covariance(6, 6)));
 }
 
-std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, const Truth& truth,
-                                 const fs::path& out) {
+std::vector<std::string> summary(const RunResult& result, const RunNumbers& n,
+                                 const SurfaceCut* cut, const Truth& truth, const fs::path& out) {
   std::vector<std::string> lines;
   const auto row = [&lines](std::string_view name, const std::string& text) {
     lines.push_back(fmt::format("{:<10} {}", name, text));
@@ -187,10 +192,13 @@ std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, c
   } else if (truth.trajectory) {
     row("ATE", "none: " + truth.trajectory->problem);
   }
-  if (truth.surface && truth.surface->problem.empty()) {
-    const SurfaceErrors& e = *truth.surface;
-    row("mesh error", fmt::format("median {:.3f} m, 90 % within {:.3f} m of the true surface",
-                                  e.median_m, e.accuracy90_m));
+  const auto surface_rows = [&row](std::string_view name, const SurfaceErrors& e) {
+    if (!e.problem.empty()) {
+      row(name, "none: " + e.problem);
+      return;
+    }
+    row(name, fmt::format("median {:.3f} m, 90 % within {:.3f} m of the true surface", e.median_m,
+                          e.accuracy90_m));
     const SurfaceOptions defaults;
     std::string within;
     for (std::size_t i = 0; i < e.completeness.size(); ++i) {
@@ -198,9 +206,17 @@ std::vector<std::string> summary(const RunResult& result, const RunNumbers& n, c
                             defaults.completeness_distances_m[i]);
     }
     row("complete", within);
-  } else if (truth.surface) {
-    row("mesh error", "none: " + truth.surface->problem);
+  };
+  if (truth.surface) surface_rows("mesh error", *truth.surface);
+  if (cut) {
+    const SurfaceCutStatistics& s = cut->statistics;
+    row("cut", fmt::format("{} triangles; {:.2f} M voxels of {:.3g}, {:.2f} M near points, graph "
+                           "{:.2f} s, maximum flow {:.2f} s, {:.0f} MB",
+                           cut->mesh.triangles.size(), 1e-6 * static_cast<double>(s.voxels),
+                           cut->voxel_size, 1e-6 * static_cast<double>(s.crust_voxels), s.graph_s,
+                           s.maxflow_s, 1e-6 * static_cast<double>(s.peak_bytes)));
   }
+  if (truth.cut) surface_rows("cut error", *truth.cut);
   row("time", fmt::format("{:.1f} s, {:.1f} frames/s, latency {:.1f} ms (95 %: {:.1f} ms), {:.0f} "
                           "MB, {}",
                           result.wall_s, n.frames_per_s, n.latency_ms.median, n.latency_ms.p95,
@@ -317,10 +333,24 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   place_on_earth(*result);
   if (const std::string note = unmatched(plan.positions, *result); !note.empty())
     result->notes.push_back(note);
-  const Truth truth = compare(*result, source, plan.truth);
+  std::optional<SurfaceCut> cut;
+  if (plan.cut_surface && !signals.token().stop_requested()) {
+    auto made = cut_run(*result, signals.token());
+    if (made) {
+      cut = std::move(*made);
+    } else {
+      result->interrupted = result->interrupted || made.error().code == ErrorCode::interrupted;
+      result->notes.push_back("No surface by graph cut: " + made.error().to_string());
+    }
+  }
+  const SurfaceCut* cut_or_none = cut ? &*cut : nullptr;
+  const Truth truth = compare(*result, cut_or_none, source, plan.truth);
   log().info("writing {}", plan.out.string());
-  const RunReportInput input{*result, truth.trajectory, truth.surface, CORVID_VERSION,
-                             context.command_line};
+  RunReportInput input{*result, truth.trajectory, truth.surface, CORVID_VERSION,
+                       context.command_line};
+  input.live_surface = plan.live_surface;
+  input.cut = cut_or_none;
+  input.cut_errors = truth.cut;
   if (auto written = write_run_folder(input, plan.out); !written) {
     return tl::unexpected(written.error());
   }
@@ -329,7 +359,7 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   const ExitCode code =
       judge(*result, info.kind + " " + info.path, signals.token().stop_requested());
   const RunNumbers numbers = count_run(*result);
-  for (const std::string& line : summary(*result, numbers, truth, plan.out)) {
+  for (const std::string& line : summary(*result, numbers, cut_or_none, truth, plan.out)) {
     if (plan.json) {
       log().info("{}", line);
     } else {

@@ -19,6 +19,7 @@ struct FlightPlan {
   Options options;
   Trajectory truth;                    ///< instead of the source's own; empty: the source's own
   std::vector<PositionFix> positions;  ///< of the camera on Earth
+  bool live_surface = true, cut_surface = false;  ///< which meshes the folder gets
   std::filesystem::path out;
   bool json = false;
 };

@@ -24,7 +24,7 @@ namespace {
 struct Arguments {
   SourceArguments source;
   EngineArguments engine;
-  std::string out, rate = "max", truth, positions;
+  std::string out, rate = "max", truth, positions, surface = "live";
   std::optional<int> threads;
   bool no_mapping = false, json = false;
 };
@@ -84,6 +84,8 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   if (!positions) return tl::unexpected(positions.error());
   plan.positions = std::move(*positions);
   plan.source = std::move(*source);
+  plan.live_surface = arguments.surface != "cut";
+  plan.cut_surface = arguments.surface != "live" && plan.options.mapping.enabled;
   plan.out = arguments.out;
   plan.json = arguments.json;
   return fly(std::move(plan), signals, context);
@@ -110,6 +112,12 @@ Action add_replay_command(CLI::App& app) {
   command->add_option("--positions", a->positions,
                       "GNSS positions of the camera, csv (docs/formats.md): the map gets its scale "
                       "and place on Earth; none: not even those in the images' EXIF");
+  command
+      ->add_option("--surface", a->surface,
+                   "Mesh files to write: live: the surface fused while flying; cut: the minimal "
+                   "surface of all depth maps, closed, cut at the end; or both")
+      ->capture_default_str()
+      ->check(CLI::IsMember({"live", "cut", "both"}));
   command->add_flag("--no-mapping", a->no_mapping, "No depth maps, voxels and mesh");
   command->add_flag("--json", a->json,
                     "One line of JSON per event on the standard output (docs/user-guide.md)");

@@ -147,6 +147,20 @@ std::string report_json(const ReportFacts& facts) {
                  {"triangles", n.triangles},
                  {"area", n.mesh_area},
                  {"voxel_size", result.voxel_size}};
+  out["cut"] = nullptr;
+  if (const SurfaceCut* cut = facts.input.cut) {
+    const SurfaceCutStatistics& s = cut->statistics;
+    out["cut"] = {{"vertices", cut->mesh.vertices.size()},
+                  {"triangles", cut->mesh.triangles.size()},
+                  {"voxel_size", cut->voxel_size},
+                  {"voxels", s.voxels},
+                  {"crust_voxels", s.crust_voxels},
+                  {"points", s.points},
+                  {"graph_s", s.graph_s},
+                  {"maxflow_s", s.maxflow_s},
+                  {"mesh_s", s.mesh_s},
+                  {"peak_bytes", s.peak_bytes}};
+  }
   out["colmap"] = Json::array();
   for (const ColmapModel& model : facts.colmap) {
     out["colmap"].push_back({{"folder", "colmap/" + model.sparse_dir.filename().string()},
@@ -156,13 +170,14 @@ std::string report_json(const ReportFacts& facts) {
                              {"observations", model.observations},
                              {"mean_error_px", model.mean_error_px}});
   }
-  out["errors"] = {{"trajectory", nullptr}, {"surface", nullptr}};
+  out["errors"] = {{"trajectory", nullptr}, {"surface", nullptr}, {"cut", nullptr}};
   if (facts.input.trajectory_errors) {
     out["errors"]["trajectory"] = trajectory_errors_of(*facts.input.trajectory_errors);
   }
   if (facts.input.surface_errors) {
     out["errors"]["surface"] = surface_errors_of(*facts.input.surface_errors);
   }
+  if (facts.input.cut_errors) out["errors"]["cut"] = surface_errors_of(*facts.input.cut_errors);
   out["stages"] = Json::array();
   for (const StageMetrics& s : result.stages) {
     out["stages"].push_back({{"name", s.name},

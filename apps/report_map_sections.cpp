@@ -147,11 +147,34 @@ std::string depth_section(const ReportFacts& facts) {
   return html_section("depth", "Depth maps", html);
 }
 
+namespace {
+
+/// The surface by graph cut; nothing if there is none.
+std::string cut_pictures(const ReportFacts& facts) {
+  const SurfaceCut* cut = facts.input.cut;
+  if (!cut || cut->mesh.empty()) return {};
+  const RunResult& result = facts.input.result;
+  std::string html = "<div class=\"pair\">";
+  for (const MeshView& view :
+       outside_views(cut->mesh, guess_axes(path_poses(result)), camera_poses(result), 800, 540)) {
+    html += html_picture("Minimal surface, " + view.name, "",
+                         render_mesh(cut->mesh, view.camera, view.T_world_camera));
+  }
+  return html + fmt::format(
+                    "</div>\n<p class=\"note\">By graph cut: {} triangles, {} vertices, voxels "
+                    "of {} {}.</p>\n",
+                    format_count(cut->mesh.triangles.size()),
+                    format_count(cut->mesh.vertices.size()), format_number(cut->voxel_size),
+                    unit_of(result));
+}
+
+}  // namespace
+
 std::string mesh_section(const ReportFacts& facts) {
   const RunResult& result = facts.input.result;
   const RunNumbers& n = facts.numbers;
   if (result.mesh.empty()) {
-    return html_section("mesh", "Mesh", html_nothing("There is no mesh."));
+    return html_section("mesh", "Mesh", html_nothing("There is no mesh.") + cut_pictures(facts));
   }
   const std::vector<Pose> cameras = camera_poses(result);
   const ViewAxes axes = guess_axes(path_poses(result));
@@ -177,7 +200,7 @@ std::string mesh_section(const ReportFacts& facts) {
   }
   html += fmt::format("<p class=\"note\">{}. Backs of triangles are drawn dark and bluish.</p>\n",
                       html_escape(text));
-  return html_section("mesh", "Mesh", html);
+  return html_section("mesh", "Mesh", html + cut_pictures(facts));
 }
 
 }  // namespace corvid

@@ -134,16 +134,14 @@ class FolderWriter {
         return fault_;
       }
     }
-    if (!result.mesh.empty()) {
-      MeshWriteOptions options;
-      options.max_step = result.voxel_size * kVoxelShare;
-      options.z_up = result.enu_origin.has_value();
-      if (!done("mesh.drc", "the surface, Draco",
-                write_mesh(result.mesh, dir_ / "mesh.drc", MeshFormat::drc, options)) ||
-          !done("mesh.glb", "the surface, glTF with KHR_draco_mesh_compression, y up",
-                write_mesh(result.mesh, dir_ / "mesh.glb", MeshFormat::glb, options))) {
-        return fault_;
-      }
+    if (input_.live_surface && !result.mesh.empty() &&
+        !write_surface(RunSurface::live, "the surface", result.mesh, result.voxel_size)) {
+      return fault_;
+    }
+    if (const SurfaceCut* cut = input_.cut;
+        cut && !cut->mesh.empty() &&
+        !write_surface(RunSurface::cut, "the minimal surface", cut->mesh, cut->voxel_size)) {
+      return fault_;
     }
     if (result.map && has_images(*result.map)) {
       auto models = write_colmap(*result.map, dir_ / "colmap");
@@ -168,10 +166,21 @@ class FolderWriter {
   std::string options_yaml;
 
  private:
-  void list(const char* name, const char* about) {
+  bool write_surface(RunSurface surface, const std::string& what, const TriangleMesh& mesh,
+                     double voxel_size) {
+    MeshWriteOptions options;
+    options.max_step = voxel_size * kVoxelShare;
+    options.z_up = input_.result.enu_origin.has_value();
+    const std::string drc = std::string(run_mesh_stem(surface)) + ".drc";
+    const std::string glb = std::string(run_mesh_stem(surface)) + ".glb";
+    return done(drc, what + ", Draco", write_mesh(mesh, dir_ / drc, MeshFormat::drc, options)) &&
+           done(glb, what + ", glTF with KHR_draco_mesh_compression, y up",
+                write_mesh(mesh, dir_ / glb, MeshFormat::glb, options));
+  }
+  void list(const std::string& name, const std::string& about) {
     files.push_back({name, about, size_below(dir_ / name)});
   }
-  bool done(const char* name, const char* about, Expected<void> ok) {
+  bool done(const std::string& name, const std::string& about, Expected<void> ok) {
     if (ok) {
       list(name, about);
     } else {
@@ -218,11 +227,16 @@ Expected<void> write_run_folder(const RunReportInput& input, const fs::path& dir
   return folder->commit();
 }
 
-Expected<TriangleMesh> load_run_mesh(const fs::path& dir) {
+const char* run_mesh_stem(RunSurface surface) {
+  return surface == RunSurface::cut ? "mesh-cut" : "mesh";
+}
+
+Expected<TriangleMesh> load_run_mesh(const fs::path& dir, RunSurface surface) {
   if (auto ok = check_run(dir); !ok) return tl::unexpected(ok.error());
   std::error_code ec;
-  if (!fs::exists(dir / "mesh.drc", ec)) return TriangleMesh{};
-  return read_mesh(dir / "mesh.drc");
+  const fs::path file = dir / (std::string(run_mesh_stem(surface)) + ".drc");
+  if (!fs::exists(file, ec)) return TriangleMesh{};
+  return read_mesh(file);
 }
 
 bool run_is_on_earth(const fs::path& dir) {

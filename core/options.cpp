@@ -154,6 +154,10 @@ std::vector<std::string> MappingOptions::validate() const {
   }
   p.at_least("voxel_size", voxel_size, 0.0);
   p.at_least("max_blocks", max_blocks, 1);
+  p.at_least("cut_voxel_size", cut_voxel_size, 0.0);
+  p.positive("cut_decay", cut_decay);
+  p.in("cut_ballooning", cut_ballooning, 0.0, 1.0);
+  p.in("cut_max_mb", cut_max_mb, 1, 1000000);
   return p.take();
 }
 

@@ -117,6 +117,13 @@ constexpr OptionField kFields[] = {
     CORVID_OPTION(mapping.voxel_size,
                   "side of a voxel [map units]; 0: from the median depth of the start"),
     CORVID_OPTION(mapping.max_blocks, "8x8x8 voxel blocks kept; the farthest go first"),
+    CORVID_OPTION(mapping.cut_voxel_size,
+                  "of the surface by graph cut [unit of the results]; 0: the live map's"),
+    CORVID_OPTION(mapping.cut_decay, "mu: a face costs exp(-mu * votes for it)"),
+    CORVID_OPTION(mapping.cut_ballooning, "cost of a voxel's volume, share of its face's"),
+    CORVID_OPTION(mapping.cut_closed, "off: without caps and the parts that no point supports"),
+    CORVID_OPTION(mapping.cut_max_mb,
+                  "memory for the cut [MB]; larger voxels where that would not do"),
 
     CORVID_OPTION(device, "OpenCL device: auto, cpu, gpu, or a number from `corvid doctor`"),
     CORVID_OPTION(threads, "CPU budget of all stages; 0: all cores; 1: bit-repeatable, inline"),

@@ -9,7 +9,7 @@
 #include <optional>
 #include <span>
 
-#include "replay/parallel_rows.h"
+#include "core/parallel_rows.h"
 #include "replay/shading.h"
 
 namespace corvid {

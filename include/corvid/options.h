@@ -106,6 +106,12 @@ struct MappingOptions {
   int min_views = 2;       ///< neighbours that must agree (thesis 6.4)
   double voxel_size = 0;   ///< [map units]; 0: median scene depth / 96
   int max_blocks = 60000;  ///< 8x8x8 voxel blocks kept; the farthest are dropped first
+  /// Of the snapshot by graph cut (thesis 6.7, docs/decisions/surface-cut.md).
+  double cut_voxel_size = 0;    ///< [unit of the results]; 0: the live map's
+  double cut_decay = 15;        ///< mu: a face costs exp(-mu * sum of votes) (thesis 6.30)
+  double cut_ballooning = 0.4;  ///< lambda * h: cost of a voxel's volume, share of its face's
+  bool cut_closed = true;       ///< off: without caps and the parts that no point supports
+  int cut_max_mb = 1000;        ///< memory for it [MB]; larger voxels where that would not do
   [[nodiscard]] std::vector<std::string> validate() const;
 };
 

@@ -41,7 +41,7 @@ std::vector<json> lines_of(const std::string& text) {
 
 TEST_F(ReplayTest, WritesTheFolderAndSpeaksJson) {
   const Ran ran = corvid_run({"replay", kFlight, "--out", path("run"), "--json", "--set",
-                              "frontend.max_tracks=300", "--threads", "2"});
+                              "frontend.max_tracks=300", "--threads", "2", "--surface", "both"});
   ASSERT_EQ(ran.code, 0) << ran.err;
   const std::vector<json> events = lines_of(ran.out);
   ASSERT_GE(events.size(), 32U);
@@ -89,6 +89,13 @@ TEST_F(ReplayTest, WritesTheFolderAndSpeaksJson) {
     ASSERT_TRUE(mesh) << mesh.error().to_string();
     EXPECT_GT(mesh->triangles.size(), 100U) << format;
   }
+  for (const char* format : {"ply", "glb"}) {
+    const std::string file = path(std::string("cut.") + format);
+    const Ran exported =
+        corvid_run({"export", path("run"), "--format", format, "--surface", "cut", "--out", file});
+    ASSERT_EQ(exported.code, 0) << exported.err;
+    EXPECT_GT(read_mesh(file)->triangles.size(), 100U) << format;
+  }
   ASSERT_EQ(mkfifo(path("pipe").c_str(), 0600), 0);
   std::filesystem::create_directories(folder_ / "full");
   write("full/letter.txt", "dear");
@@ -127,6 +134,9 @@ TEST_F(ReplayTest, SumsUpOnTheStandardOutputAndTalksOnTheOther) {
   const Ran nothing = corvid_run({"export", path("run"), "--format", "ply"});
   EXPECT_EQ(nothing.code, static_cast<int>(ExitCode::not_found));
   EXPECT_THAT(nothing.err, HasSubstr("--no-mapping"));
+  const Ran no_cut = corvid_run({"export", path("run"), "--format", "ply", "--surface", "cut"});
+  EXPECT_EQ(no_cut.code, static_cast<int>(ExitCode::not_found));
+  EXPECT_THAT(no_cut.err, HasSubstr("--surface cut"));
 }
 
 TEST_F(ReplayTest, AFlightWithoutTranslationEndsWithSixAndTheReason) {

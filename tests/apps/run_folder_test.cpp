@@ -124,6 +124,28 @@ TEST(RunFolder, RawDepthIsAPortableFloatMap) {
   EXPECT_EQ(centre, run.depth_maps[0].depth(161, 120));
 }
 
+TEST(RunFolder, TheCutSurfaceHasFilesOfItsOwn) {
+  const TemporaryFolder folder;
+  const RunResult run = made_up_run();
+  SurfaceCut cut;
+  cut.mesh = run.mesh;
+  cut.mesh.triangles.resize(cut.mesh.triangles.size() / 2);
+  cut.voxel_size = 0.1;
+  RunReportInput input = input_of(run);
+  input.cut = &cut;
+  ASSERT_TRUE(write_run_folder(input, folder / "both"));
+  EXPECT_TRUE(fs::is_regular_file(folder / "both" / "mesh-cut.glb"));
+  EXPECT_EQ(load_run_mesh(folder / "both", RunSurface::cut)->triangles.size(),
+            cut.mesh.triangles.size());
+  EXPECT_EQ(load_run_mesh(folder / "both")->triangles.size(), run.mesh.triangles.size());
+  input.live_surface = false;
+  ASSERT_TRUE(write_run_folder(input, folder / "cut"));
+  EXPECT_FALSE(fs::exists(folder / "cut" / "mesh.drc"));
+  EXPECT_FALSE(load_run_mesh(folder / "cut", RunSurface::cut)->empty());
+  ASSERT_TRUE(write_run_folder(input_of(run), folder / "live"));
+  EXPECT_TRUE(load_run_mesh(folder / "live", RunSurface::cut)->empty());
+}
+
 TEST(RunFolder, EmptyRunIsWrittenAndSaysSo) {
   const TemporaryFolder folder;
   RunResult run;

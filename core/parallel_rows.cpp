@@ -1,4 +1,4 @@
-#include "replay/parallel_rows.h"
+#include "core/parallel_rows.h"
 
 #include <algorithm>
 #include <atomic>

@@ -1,0 +1,101 @@
+#include "apps/run_cut.h"
+
+#include <algorithm>
+#include <map>
+#include <vector>
+
+#include "core/log.h"
+#include "kernels/warp.h"
+
+namespace corvid {
+namespace {
+
+/// A depth map and the keyframe that it belongs to.
+struct Seen {
+  const DepthMap* depth;
+  const Keyframe* keyframe;
+};
+
+/// The depth maps of the segment that has most of them.
+std::vector<Seen> largest_segment(const RunResult& result) {
+  std::map<KeyframeId, const Keyframe*> keyframes;
+  if (result.map) {
+    for (const auto& keyframe : result.map->keyframes) keyframes[keyframe->id] = keyframe.get();
+  }
+  std::map<int, std::vector<Seen>> segments;
+  for (const DepthMap& depth : result.depth_maps) {
+    const auto it = keyframes.find(depth.keyframe);
+    if (it == keyframes.end()) continue;  // it left the map, and nobody knows where it stands
+    segments[it->second->segment].push_back({&depth, it->second});
+  }
+  if (segments.empty()) return {};
+  return std::max_element(
+             segments.begin(), segments.end(),
+             [](const auto& a, const auto& b) { return a.second.size() < b.second.size(); })
+      ->second;
+}
+
+/// What the keyframe's camera saw, on the pinhole of its depth map; empty without an image.
+ColourImage colours_of(const Seen& seen, const Camera& lens) {
+  if (!seen.keyframe->frame) return {};
+  const FramePtr loaded = seen.keyframe->frame->load();
+  const Frame& frame = *loaded;
+  const auto map = [&] {
+    return WarpMap::between(lens, seen.depth->camera, Eigen::Matrix3d::Identity());
+  };
+  const auto fits = [&](const auto& image) {
+    return image.width() == lens.width_px && image.height() == lens.height_px;
+  };
+  if (fits(frame.colour)) return remap(frame.colour, map());
+  if (!fits(frame.grey)) return {};
+  const GreyImage grey = remap(frame.grey, map());
+  ColourImage out(grey.width(), grey.height());
+  std::transform(grey.data(), grey.data() + grey.size(), out.data(), [](std::uint8_t g) {
+    return Rgb8{g, g, g};
+  });
+  return out;
+}
+
+}  // namespace
+
+Expected<SurfaceCut> cut_run(const RunResult& result, const std::stop_token& stop) {
+  const std::vector<Seen> seen = largest_segment(result);
+  if (seen.empty()) {
+    return fail(ErrorCode::not_found, "the run has no depth map", "surface cut",
+                "it was flown with --no-mapping, or saw too little to map");
+  }
+  std::vector<ColourImage> colours;
+  std::vector<SurfaceCutView> views;
+  for (const Seen& s : seen) {
+    colours.push_back(result.map->camera ? colours_of(s, *result.map->camera) : ColourImage());
+  }
+  for (std::size_t i = 0; i < seen.size(); ++i) {
+    views.push_back({seen[i].depth, colours[i].empty() ? nullptr : &colours[i]});
+  }
+  const MappingOptions& asked = result.options.mapping;
+  SurfaceCutOptions options;
+  options.voxel_size = asked.cut_voxel_size > 0 ? asked.cut_voxel_size : result.voxel_size;
+  options.decay = asked.cut_decay;
+  options.ballooning = asked.cut_ballooning;
+  options.closed = asked.cut_closed;
+  options.max_bytes = static_cast<std::size_t>(asked.cut_max_mb) * 1000000;
+  options.coarsen = true;
+  options.threads = result.options.threads;
+  log().info("cutting the surface from {} depth maps", views.size());
+  auto cut = cut_surface(views, options, {stop, [](std::string_view stage) {
+                                            log().info("cutting the surface: {}", stage);
+                                          }});
+  if (!cut) return cut;
+  const SurfaceCutStatistics& s = cut->statistics;
+  log().info(
+      "the cut: {} voxels of {:.4g}, {} near points; graph {:.2f} s, maximum flow {:.2f} s, mesh "
+      "{:.2f} s",
+      s.voxels, cut->voxel_size, s.crust_voxels, s.graph_s, s.maxflow_s, s.mesh_s);
+  if (options.voxel_size > 0 && cut->voxel_size > 1.001 * options.voxel_size) {
+    log().warn("the cut has voxels of {:.4g} instead of {:.4g}: mapping.cut_max_mb is {}",
+               cut->voxel_size, options.voxel_size, asked.cut_max_mb);
+  }
+  return cut;
+}
+
+}  // namespace corvid
