@@ -116,7 +116,9 @@ constexpr OptionField kFields[] = {
     CORVID_OPTION(mapping.min_views, "neighbours that must agree on a depth"),
     CORVID_OPTION(mapping.voxel_size,
                   "side of a voxel [map units]; 0: from the median depth of the start"),
-    CORVID_OPTION(mapping.max_blocks, "8x8x8 voxel blocks kept; the farthest go first"),
+    CORVID_OPTION(mapping.memory_mb, "depth maps and voxels in memory; the rest goes to a file"),
+    CORVID_OPTION(mapping.disk_mb, "voxels in that file; beyond it the oldest are lost"),
+    CORVID_OPTION(mapping.stream_bytes_per_s, "of mesh, to each receiver"),
 
     CORVID_OPTION(device, "OpenCL device: auto, cpu, gpu, or a number from `corvid doctor`"),
     CORVID_OPTION(threads, "CPU budget of all stages; 0: all cores; 1: bit-repeatable, inline"),
