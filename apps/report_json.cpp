@@ -147,6 +147,15 @@ std::string report_json(const ReportFacts& facts) {
                  {"triangles", n.triangles},
                  {"area", n.mesh_area},
                  {"voxel_size", result.voxel_size}};
+  out["stream"] = nullptr;
+  if (const auto& s = facts.input.stream)
+    out["stream"] = {{"changed_blocks", s->changes},
+                     {"changed_blocks_per_s", s->changes_per_s},
+                     {"blocks", s->blocks},
+                     {"bytes", s->bytes},
+                     {"bytes_per_triangle", s->bytes_per_triangle},
+                     {"encode_ms_per_block", s->encode_ms},
+                     {"send_s", s->send_s}};
   out["colmap"] = Json::array();
   for (const ColmapModel& model : facts.colmap) {
     out["colmap"].push_back({{"folder", "colmap/" + model.sparse_dir.filename().string()},

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "apps/evaluation.h"
+#include "apps/stream_numbers.h"
 #include "apps/surface_errors.h"
 #include "corvid/error.h"
 #include "corvid/run_result.h"
@@ -19,6 +20,7 @@ struct RunReportInput {
   std::optional<SurfaceErrors> surface_errors;        ///< if there is a true surface
   std::string version;
   std::string command_line;
+  std::optional<StreamNumbers> stream = std::nullopt;  ///< if there was a mesh to stream
 };
 
 /// Raw depth maps and previews are written for at most so many keyframes, evenly spread.
