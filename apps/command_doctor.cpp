@@ -176,7 +176,7 @@ void examine_resources(Findings& findings) {
   findings.push_back({"memory", memory ? Verdict::ok : Verdict::warning,
                       fmt::format("{:.1f} GB available, {} threads", available_gb,
                                   std::thread::hardware_concurrency()),
-                      memory ? "" : "corvid replay --set mapping.max_blocks=10000 ..."});
+                      memory ? "" : "corvid replay --set mapping.memory_mb=64 ..."});
   std::error_code error;
   const fs::path here = fs::current_path(error);
   const fs::space_info space = fs::space(error ? fs::path("/") : here, error);

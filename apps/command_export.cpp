@@ -8,6 +8,7 @@
 #include <string>
 
 #include "apps/command_list.h"
+#include "apps/live_export.h"
 #include "apps/run_folder.h"
 #include "io/atomic_file.h"
 #include "io/mesh_files.h"
@@ -19,6 +20,27 @@ struct Arguments {
   std::string run, format, surface = "live";
   std::optional<std::string> out;
 };
+
+/// The surface so far of a run that is not finished, beside its folder, which is not there yet.
+Expected<ExitCode> export_live(const TriangleMesh& mesh, const Arguments& arguments,
+                               Context& context) {
+  if (mesh.empty()) {
+    return fail(ErrorCode::not_found, "the run has no surface yet", arguments.run,
+                "try again later");
+  }
+  auto folder = std::filesystem::absolute(arguments.run).lexically_normal();
+  if (folder.filename().empty()) folder = folder.parent_path();
+  const bool plain = arguments.format == "glb-plain";
+  const auto out = arguments.out
+                       ? std::filesystem::path(*arguments.out)
+                       : folder.concat(plain ? "-live-plain.glb" : "-live." + arguments.format);
+  if (auto written = write_mesh(mesh, out, mesh_format_from_name(arguments.format)); !written) {
+    return tl::unexpected(written.error());
+  }
+  context.out << fmt::format("{}: {} vertices, {} triangles, of a run that goes on\n", out.string(),
+                             mesh.vertices.size(), mesh.triangles.size());
+  return ExitCode::ok;
+}
 
 Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const std::filesystem::path folder = arguments.run;
@@ -32,6 +54,13 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
     return ExitCode::ok;
   }
   const RunSurface surface = arguments.surface == "cut" ? RunSurface::cut : RunSurface::live;
+  auto live = fetch_live_surface(folder);
+  if (!live) return tl::unexpected(live.error());
+  if (*live && surface == RunSurface::cut) {
+    return fail(ErrorCode::unsupported, "the run goes on, and is cut at its end", arguments.run,
+                "--surface live gives what there is by now");
+  }
+  if (*live) return export_live(**live, arguments, context);
   const std::string stem = run_mesh_stem(surface);
   const auto mesh = load_run_mesh(folder, surface);
   if (!mesh) return tl::unexpected(mesh.error());
@@ -78,7 +107,8 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
 Action add_export_command(CLI::App& app) {
   auto a = std::make_shared<Arguments>();
   CLI::App* command = app.add_subcommand("export", "Write a run's mesh or map in another format");
-  command->add_option("DIR", a->run, "The folder of a finished run")->required();
+  command->add_option("DIR", a->run, "The folder of a run; while it goes on, its surface so far")
+      ->required();
   command->add_option("--format", a->format, "ply, obj, glb, glb-plain, drc or colmap")
       ->required()
       ->check(CLI::IsMember({"ply", "obj", "glb", "glb-plain", "drc", "colmap"}));

@@ -12,17 +12,20 @@
 #include <vector>
 
 #include "apps/evaluation.h"
+#include "apps/live_export.h"
 #include "apps/opencl_trouble.h"
 #include "apps/program_source.h"
 #include "apps/progress.h"
 #include "apps/report_numbers.h"
 #include "apps/run_cut.h"
 #include "apps/run_folder.h"
+#include "apps/stream_numbers.h"
 #include "apps/surface_errors.h"
 #include "core/clock.h"
 #include "core/log.h"
 #include "corvid/engine.h"
 #include "io/archive_file.h"
+#include "io/mesh_stream.h"
 #include "replay/player.h"
 #include "replay/synthetic_flight.h"
 
@@ -43,8 +46,12 @@ class Fanout final : public PoseSink, public MeshSink {
   void on_pose(const PoseEvent& event) override {
     for (PoseSink* sink : poses_) sink->on_pose(event);
   }
+  void add_mesh(MeshSink* sink) { meshes_.push_back(sink); }
   void on_block(const MeshBlock& block) override {
     for (MeshSink* sink : meshes_) sink->on_block(block);
+  }
+  void on_complete(std::uint64_t version) override {
+    for (MeshSink* sink : meshes_) sink->on_complete(version);
   }
 
  private:
@@ -316,8 +323,11 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   for (const PositionFix& fix : plan.positions) {
     if (auto pushed = positions.push(fix); !pushed) log().warn("{}", pushed.error().to_string());
   }
+  MeshStream stream;
+  auto live_export = LiveExportServer::start(plan.out, stream);
   auto result = [&] {
     Fanout listeners;
+    listeners.add_mesh(&stream);
     if (plan.json) listeners.add(&json);
     std::optional<ProgressLine> progress;
     if (context.terminal && !context.quiet) {
@@ -330,6 +340,10 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   if (!result) return tl::unexpected(result.error());
   for (const std::string& message : result->counts.messages) log().warn("skipped: {}", message);
 
+  live_export.reset();
+  std::optional<StreamNumbers> streamed;
+  if (!result->mesh.empty())
+    streamed = count_stream(stream, result->wall_s, plan.options.mapping.stream_bytes_per_s);
   place_on_earth(*result);
   if (const std::string note = unmatched(plan.positions, *result); !note.empty())
     result->notes.push_back(note);
@@ -351,6 +365,7 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   input.live_surface = plan.live_surface;
   input.cut = cut_or_none;
   input.cut_errors = truth.cut;
+  input.stream = streamed;
   if (auto written = write_run_folder(input, plan.out); !written) {
     return tl::unexpected(written.error());
   }

@@ -59,8 +59,8 @@ struct TrajectoryErrors {
   /// 1: no drift; above 1: the estimate shrinks. Absent with fewer than 9 poses or no motion.
   std::optional<double> scale_drift;
 
-  Statistics position_m;         ///< absolute trajectory error, after alignment
-  Statistics orientation_deg;    ///< after alignment
+  Statistics position_m;       ///< absolute trajectory error, after alignment
+  Statistics orientation_deg;  ///< after alignment
   /// The part of it that never changes, in the camera's frame, and the rms of the rest: no images
   /// can tell a constant rotation between the camera and the sensor that measured the truth.
   double orientation_constant_deg = 0, orientation_rest_deg = 0;

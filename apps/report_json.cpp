@@ -161,6 +161,15 @@ std::string report_json(const ReportFacts& facts) {
                   {"mesh_s", s.mesh_s},
                   {"peak_bytes", s.peak_bytes}};
   }
+  out["stream"] = nullptr;
+  if (const auto& s = facts.input.stream)
+    out["stream"] = {{"changed_blocks", s->changes},
+                     {"changed_blocks_per_s", s->changes_per_s},
+                     {"blocks", s->blocks},
+                     {"bytes", s->bytes},
+                     {"bytes_per_triangle", s->bytes_per_triangle},
+                     {"encode_ms_per_block", s->encode_ms},
+                     {"send_s", s->send_s}};
   out["colmap"] = Json::array();
   for (const ColmapModel& model : facts.colmap) {
     out["colmap"].push_back({{"folder", "colmap/" + model.sparse_dir.filename().string()},

@@ -109,12 +109,14 @@ std::string map_section(const ReportFacts& facts) {
 std::string depth_section(const ReportFacts& facts) {
   const RunResult& result = facts.input.result;
   const RunNumbers& n = facts.numbers;
-  std::vector<const DepthMap*> maps, answered;
-  for (const DepthMap& map : result.depth_maps) {
-    if (map.depth.empty()) continue;
-    maps.push_back(&map);
-    const float* end = map.depth.data() + map.depth.size();
-    if (std::any_of(map.depth.data(), end, [](float z) { return z > 0; })) answered.push_back(&map);
+  std::vector<const StoredDepth*> maps, answered;
+  for (const StoredDepth& stored : result.depth_maps) {
+    const auto map = stored.scaled();
+    if (map->depth.empty()) continue;
+    maps.push_back(&stored);
+    const float* end = map->depth.data() + map->depth.size();
+    if (std::any_of(map->depth.data(), end, [](float z) { return z > 0; }))
+      answered.push_back(&stored);
   }
   if (!answered.empty()) maps = answered;  // empty ones are counted, but there is nothing to see
   if (maps.empty()) return html_section("depth", "Depth maps", html_nothing("There are none."));
@@ -127,7 +129,7 @@ std::string depth_section(const ReportFacts& facts) {
   std::optional<Undistorter> undistort;
   if (result.map && result.map->camera) undistort.emplace(*result.map->camera);
   for (const std::size_t i : spread_indices(maps.size(), kDepthPictures)) {
-    const DepthMap& map = *maps[i];
+    const DepthMap map = maps[i]->load();
     const DepthPicture depth = picture_of_depth(map.depth);
     const std::string name = fmt::format("Keyframe {}", map.keyframe.value);
     html += "<div class=\"trio\">";
@@ -200,6 +202,15 @@ std::string mesh_section(const ReportFacts& facts) {
   }
   html += fmt::format("<p class=\"note\">{}. Backs of triangles are drawn dark and bluish.</p>\n",
                       html_escape(text));
+  if (const auto& s = facts.input.stream) {
+    html += fmt::format(
+        "<p class=\"note\">As a stream: {} blocks changed over the run ({} per second). The whole "
+        "surface is {} blocks and {}, {} bytes per triangle, {} ms to compress a block; a receiver "
+        "that joins late has it after {} s.</p>\n",
+        format_count(s->changes), format_number(s->changes_per_s), format_count(s->blocks),
+        format_bytes(static_cast<double>(s->bytes)), format_number(s->bytes_per_triangle),
+        format_number(s->encode_ms), format_number(s->send_s));
+  }
   return html_section("mesh", "Mesh", html + cut_pictures(facts));
 }
 

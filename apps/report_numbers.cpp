@@ -123,8 +123,10 @@ RunNumbers count_run(const RunResult& result) {
 
   std::size_t pixels = 0, answers = 0;
   double confidence = 0;
-  for (const DepthMap& map : result.depth_maps) {
+  for (const StoredDepth& stored : result.depth_maps) {
     ++n.depth_maps;
+    const auto loaded = stored.scaled();
+    const DepthMap& map = *loaded;
     pixels += map.depth.size();
     const bool rated = map.confidence.size() == map.depth.size();
     for (std::size_t i = 0; i < map.depth.size(); ++i) {

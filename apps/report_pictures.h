@@ -32,7 +32,6 @@ struct DepthPicture {
 /// The landmarks from above, in their own colours on a dark ground: the middle 98 % along each axis
 /// and all camera positions. Nothing for an empty map.
 [[nodiscard]] std::optional<PlotPicture> picture_of_landmarks(
-    const Landmarks& landmarks, const std::vector<Eigen::Vector2d>& path,
-    const ViewAxes& axes);
+    const Landmarks& landmarks, const std::vector<Eigen::Vector2d>& path, const ViewAxes& axes);
 
 }  // namespace corvid

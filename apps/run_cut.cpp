@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <utility>
 #include <vector>
 
 #include "core/log.h"
@@ -12,7 +13,7 @@ namespace {
 
 /// A depth map and the keyframe that it belongs to.
 struct Seen {
-  const DepthMap* depth;
+  DepthMap depth;
   const Keyframe* keyframe;
 };
 
@@ -22,17 +23,23 @@ std::vector<Seen> largest_segment(const RunResult& result) {
   if (result.map) {
     for (const auto& keyframe : result.map->keyframes) keyframes[keyframe->id] = keyframe.get();
   }
-  std::map<int, std::vector<Seen>> segments;
-  for (const DepthMap& depth : result.depth_maps) {
+  std::map<int, std::vector<const StoredDepth*>> segments;
+  for (const StoredDepth& depth : result.depth_maps) {
     const auto it = keyframes.find(depth.keyframe);
     if (it == keyframes.end()) continue;  // it left the map, and nobody knows where it stands
-    segments[it->second->segment].push_back({&depth, it->second});
+    segments[it->second->segment].push_back(&depth);
   }
   if (segments.empty()) return {};
-  return std::max_element(
-             segments.begin(), segments.end(),
-             [](const auto& a, const auto& b) { return a.second.size() < b.second.size(); })
-      ->second;
+  const auto& largest =
+      std::max_element(segments.begin(), segments.end(), [](const auto& a, const auto& b) {
+        return a.second.size() < b.second.size();
+      })->second;
+  std::vector<Seen> seen;
+  for (const StoredDepth* stored : largest) {
+    DepthMap depth = stored->load();
+    if (!depth.depth.empty()) seen.push_back({std::move(depth), keyframes[stored->keyframe]});
+  }
+  return seen;
 }
 
 /// What the keyframe's camera saw, on the pinhole of its depth map; empty without an image.
@@ -41,7 +48,7 @@ ColourImage colours_of(const Seen& seen, const Camera& lens) {
   const FramePtr loaded = seen.keyframe->frame->load();
   const Frame& frame = *loaded;
   const auto map = [&] {
-    return WarpMap::between(lens, seen.depth->camera, Eigen::Matrix3d::Identity());
+    return WarpMap::between(lens, seen.depth.camera, Eigen::Matrix3d::Identity());
   };
   const auto fits = [&](const auto& image) {
     return image.width() == lens.width_px && image.height() == lens.height_px;
@@ -70,7 +77,7 @@ Expected<SurfaceCut> cut_run(const RunResult& result, const std::stop_token& sto
     colours.push_back(result.map->camera ? colours_of(s, *result.map->camera) : ColourImage());
   }
   for (std::size_t i = 0; i < seen.size(); ++i) {
-    views.push_back({seen[i].depth, colours[i].empty() ? nullptr : &colours[i]});
+    views.push_back({&seen[i].depth, colours[i].empty() ? nullptr : &colours[i]});
   }
   const MappingOptions& asked = result.options.mapping;
   SurfaceCutOptions options;

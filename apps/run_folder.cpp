@@ -72,14 +72,14 @@ TriangleMesh landmark_cloud(const MapSnapshot& map) {
 
 /// Raw depth, previews, and index.json with cameras and poses.
 Expected<void> write_depth(const RunResult& result, const fs::path& dir) {
-  std::vector<const DepthMap*> maps;
-  for (const DepthMap& map : result.depth_maps) {
-    if (!map.depth.empty()) maps.push_back(&map);
+  std::vector<const StoredDepth*> maps;
+  for (const StoredDepth& map : result.depth_maps) {
+    if (map.image_bytes() > 0) maps.push_back(&map);
   }
   using Json = nlohmann::ordered_json;
   Json index = Json::array();
   for (const std::size_t i : spread_indices(maps.size(), kMaxDepthFiles)) {
-    const DepthMap& map = *maps[i];
+    const DepthMap map = maps[i]->load();
     const std::string stem = fmt::format("keyframe_{:06d}", map.keyframe.value);
     const DepthPicture picture = picture_of_depth(map.depth);
     std::vector<std::pair<std::string, std::string>> files = {

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "apps/evaluation.h"
+#include "apps/stream_numbers.h"
 #include "apps/surface_errors.h"
 #include "corvid/error.h"
 #include "corvid/run_result.h"
@@ -20,9 +21,10 @@ struct RunReportInput {
   std::optional<SurfaceErrors> surface_errors;        ///< if there is a true surface
   std::string version;
   std::string command_line;
-  bool live_surface = true;                   ///< whether the fused surface is written
-  const SurfaceCut* cut = nullptr;            ///< written if there is one
-  std::optional<SurfaceErrors> cut_errors{};  ///< of it, if there is a true surface
+  bool live_surface = true;                            ///< whether the fused surface is written
+  const SurfaceCut* cut = nullptr;                     ///< written if there is one
+  std::optional<SurfaceErrors> cut_errors{};           ///< of it, if there is a true surface
+  std::optional<StreamNumbers> stream = std::nullopt;  ///< if there was a mesh to stream
 };
 
 /// Which of a run's surfaces.

@@ -190,7 +190,9 @@ Expected<MappingRow> score_mapping(const std::shared_ptr<Device>& device, const 
   } catch (const DeviceFault& fault) {
     return fail(ErrorCode::device, fault.what(), device->info().name);
   }
-  const DepthScore score = score_depth(scene, (*mapper)->depth_maps());
+  std::vector<std::shared_ptr<const DepthMap>> depth_maps;
+  for (const StoredDepth& stored : (*mapper)->depth_maps()) depth_maps.push_back(stored.scaled());
+  const DepthScore score = score_depth(scene, depth_maps);
   MappingRow row;
   row.workload = "accuracy, " + scene.name;
   row.views = score.maps;

@@ -73,15 +73,13 @@ bool place_on_earth(RunResult& result) {
     Pose& T_world_camera = result.trajectory[i].T_world_camera;
     T_world_camera = T[static_cast<std::size_t>(result.trajectory_segments[i])] * T_world_camera;
   }
-  for (DepthMap& d : result.depth_maps) {
+  for (StoredDepth& d : result.depth_maps) {
     const auto of = std::find_if(result.map->keyframes.begin(), result.map->keyframes.end(),
                                  [&](const auto& k) { return k->id == d.keyframe; });
     const Sim3& S =
         of == result.map->keyframes.end() ? T_main : T[static_cast<std::size_t>((*of)->segment)];
     d.T_world_camera = S * d.T_world_camera;
-    for (int y = 0; y < d.depth.height(); ++y) {
-      for (int x = 0; x < d.depth.width(); ++x) d.depth(x, y) *= static_cast<float>(S.scale());
-    }
+    d.scale *= S.scale();
   }
   place_mesh(result.mesh, T_main);
   result.voxel_size *= T_main.scale();

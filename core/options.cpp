@@ -153,7 +153,9 @@ std::vector<std::string> MappingOptions::validate() const {
           fmt::format("must be at most mapping.neighbours ({}), not {}", neighbours, min_views));
   }
   p.at_least("voxel_size", voxel_size, 0.0);
-  p.at_least("max_blocks", max_blocks, 1);
+  p.at_least("memory_mb", memory_mb, 1);
+  p.at_least("disk_mb", disk_mb, 0);
+  p.at_least("stream_bytes_per_s", stream_bytes_per_s, 1.0);
   p.at_least("cut_voxel_size", cut_voxel_size, 0.0);
   p.positive("cut_decay", cut_decay);
   p.in("cut_ballooning", cut_ballooning, 0.0, 1.0);

@@ -346,24 +346,33 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
     }
     result.mesh = mapper->mesh();
     result.voxel_size = mapper->voxel_size();
-    for (const auto& depth_map : mapper->depth_maps()) {
-      result.depth_maps.push_back(*depth_map);
-      // The depth was estimated at an earlier pose; what is handed out fits the final map.
-      for (const auto& keyframe : result.map->keyframes)
-        if (keyframe->id == depth_map->keyframe)
-          result.depth_maps.back().T_world_camera = keyframe->T_world_camera;
+    result.depth_maps = mapper->depth_maps();
+    // Depth was estimated at earlier poses; what is handed out fits the final map.
+    auto depth_map = result.depth_maps.begin();
+    for (const auto& keyframe : result.map->keyframes) {
+      while (depth_map != result.depth_maps.end() && depth_map->keyframe < keyframe->id)
+        ++depth_map;
+      if (depth_map != result.depth_maps.end() && depth_map->keyframe == keyframe->id)
+        depth_map->T_world_camera = keyframe->T_world_camera;
     }
     const MapperStatistics statistics = mapper->statistics();
     result.notes.push_back(fmt::format(
         "Mapping: {} depth maps ({:.0f} % of the rays answered), {} keyframes without an "
         "answer, {} too near to the one before, {} fused anew after their pose moved, {} "
-        "voxel blocks.",
+        "voxel blocks, {} of them in memory.",
         statistics.depth_maps, 100 * statistics.answered, statistics.without_depth,
-        statistics.skipped, statistics.refusions, statistics.blocks));
-    if (statistics.dropped_blocks > 0)
+        statistics.skipped, statistics.refusions, statistics.blocks, statistics.blocks_in_memory));
+    if (statistics.depth_maps > 0 && result.mesh.empty())
       result.notes.push_back(fmt::format(
-          "{} voxel blocks were dropped or not made: the map's budget is mapping.max_blocks = {}.",
-          statistics.dropped_blocks, engine.options.mapping.max_blocks));
+          "The depth maps made no surface: most likely voxels of {:.3g} map units do not fit the "
+          "scene; `mapping.voxel_size = 0` chooses a size that does.",
+          result.voxel_size));
+    if (statistics.lost_blocks > 0)
+      result.notes.push_back(fmt::format(
+          "{} voxel blocks were lost for want of room: mapping.memory_mb = {}, mapping.disk_mb = "
+          "{}.",
+          statistics.lost_blocks, engine.options.mapping.memory_mb,
+          engine.options.mapping.disk_mb));
   }
   if (images.failure())
     result.notes.push_back("Keyframes' pictures stayed in memory: " +
@@ -390,11 +399,12 @@ Expected<RunResult> Engine::run(FrameSource& source, const EngineSinks& sinks,
   double held_ms = 0;
   std::unique_ptr<Mapper> mapper;
   if (impl_->options.mapping.enabled) {
-    auto created = Mapper::create(impl_->device, impl_->options.mapping, sinks.mesh, [&] {
-      Stopwatch watch;
-      gate.wait();
-      held_ms += watch.lap_ms();
-    });
+    auto created =
+        Mapper::create(impl_->device, impl_->options.mapping, sinks.mesh, sinks.archive, [&] {
+          Stopwatch watch;
+          gate.wait();
+          held_ms += watch.lap_ms();
+        });
     if (!created) return tl::unexpected(created.error());
     mapper = std::move(*created);
   }

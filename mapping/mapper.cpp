@@ -8,8 +8,10 @@
 #include <utility>
 
 #include "core/log.h"
+#include "core/median.h"
 #include "kernels/depth.h"
 #include "mapping/depth_clean.h"
+#include "mapping/mapped_keyframes.h"
 #include "mapping/mesher.h"
 #include "mapping/view_choice.h"
 #include "mapping/view_images.h"
@@ -28,7 +30,7 @@ constexpr double kWitnessTolerance = 0.02;  ///< relative
 constexpr double kMinIsland = 5e-4;         ///< share of rays of the smallest island kept
 constexpr double kVoxelsPerDepth = 96;      ///< options.h: voxel_size
 constexpr double kRefitRatio = 2;           ///< of the voxel size wanted to the one there is
-constexpr double kMinRescale = 1e-3;        ///< smaller changes of a depth map's scale are noise
+constexpr double kDepthShare = 0.25;        ///< of the memory budget; the rest is for voxels
 constexpr int kRefinements = 2;
 constexpr std::size_t kImageBudget_bytes = 64UL << 20;
 
@@ -36,45 +38,31 @@ double rotation_between(const Pose& a, const Pose& b) {
   return so3_log(a.rotation().conjugate() * b.rotation()).norm();
 }
 
-double median_of(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
-/// What was done with one keyframe.
-struct Entry {
-  int segment = 0;
-  StoredFramePtr frame;
-  Camera lens;                            ///< that its image was undistorted with
-  std::shared_ptr<const DepthMap> depth;  ///< null: tried or skipped
-  double median_depth = 0;
-  /// Depth of the keyframe's landmarks when `depth` was estimated: its unit of length.
-  std::vector<std::pair<LandmarkId, double>> landmark_depths;
-  std::optional<FusedView> fused;  ///< empty: not in the voxel map
-};
-
 }  // namespace
 
 struct Mapper::Impl {
-  Impl(std::shared_ptr<Device> device, const MappingOptions& o, MeshSink* s, SliceEnd end,
-       DepthSweeper&& sweep, Warper&& warper)
+  Impl(std::shared_ptr<Device> device, const MappingOptions& o, MeshSink* s,
+       std::shared_ptr<Archive> store, SliceEnd end, DepthSweeper&& sweep, Warper&& warper)
       : options(o),
         sink(s),
+        archive(std::move(store)),
         slice_end(std::move(end)),
         sweeper(std::move(sweep)),
-        images(std::move(device), std::move(warper), o.depth_scale, kImageBudget_bytes) {}
+        images(std::move(device), std::move(warper), o.depth_scale, kImageBudget_bytes),
+        mapped(static_cast<std::size_t>(kDepthShare * memory_bytes()), archive) {}
 
   MappingOptions options;
   MeshSink* sink;
+  std::shared_ptr<Archive> archive;
   SliceEnd slice_end;
   DepthSweeper sweeper;
   ViewImages images;
   std::optional<VoxelBlocks> volume;
-  std::map<KeyframeId, Entry> entries;
-  std::vector<std::shared_ptr<const DepthMap>> depth_maps;
+  MappedKeyframes mapped;
+  std::optional<KeyframeId> last_tried;
+  bool fit_is_stale = false;              ///< the scene's depth may ask for other voxels
   std::map<int, KeyframeId> last_mapped;  ///< by segment
-  std::set<BlockIndex> shown;             ///< blocks that the sink has a surface of
+  std::set<BlockIndex> shown;             ///< mesh blocks that the sink has
   std::uint64_t version = 0;
   MapperStatistics counts;
   double answered_sum = 0;
@@ -91,6 +79,15 @@ struct Mapper::Impl {
       return true;
     }
     return follow_poses(map, segment);
+  }
+
+  [[nodiscard]] double memory_bytes() const { return options.memory_mb * 1048576.0; }
+
+  void start_volume(double size) {
+    VoxelBudget budget;
+    budget.memory_bytes = static_cast<std::size_t>((1 - kDepthShare) * memory_bytes());
+    budget.archive_bytes = static_cast<std::uint64_t>(options.disk_mb) << 20;
+    volume.emplace(size, budget, archive, slice_end);
   }
 
   void end_slice() const {
@@ -116,9 +113,9 @@ struct Mapper::Impl {
         if (const auto scene = scene_depth(map, *keyframe)) medians.push_back(scene->median);
       }
       if (medians.empty() || (medians.size() < kKeyframes && !at_end)) return false;
-      size = median_of(medians) / kVoxelsPerDepth;
+      size = upper_median(medians) / kVoxelsPerDepth;
     }
-    volume.emplace(size, options.max_blocks, slice_end);
+    start_volume(size);
     return true;
   }
 
@@ -126,108 +123,67 @@ struct Mapper::Impl {
   /// has left the voxel size behind, the volume starts again with a fitting one, and follow_poses()
   /// puts the depth maps back in, one by one.
   void refit_volume(int segment) {
-    if (options.voxel_size > 0) return;
+    if (options.voxel_size > 0 || !std::exchange(fit_is_stale, false)) return;
     std::vector<double> medians;
-    for (const auto& [id, entry] : entries)
-      if (entry.depth && entry.segment == segment) medians.push_back(entry.median_depth);
+    for (const auto& [id, entry] : mapped.all())
+      if (entry.segment == segment) medians.push_back(entry.median_depth);
     if (medians.size() < 3) return;
     // The newest keyframes count on their own, too: voxels that are far too small for what is in
     // view now would use up the budget long before most keyframes agree.
     constexpr std::size_t kNewest = 5;
     const std::size_t newest = std::min(kNewest, medians.size());
-    const double now =
-        median_of({medians.end() - static_cast<std::ptrdiff_t>(newest), medians.end()});
-    const double size = std::max(now, median_of(std::move(medians))) / kVoxelsPerDepth;
+    const double now = upper_median(
+        std::vector(medians.end() - static_cast<std::ptrdiff_t>(newest), medians.end()));
+    const double size = std::max(now, upper_median(std::move(medians))) / kVoxelsPerDepth;
     const double ratio = size / volume->voxel_size();
     if (ratio < kRefitRatio && ratio > 1 / kRefitRatio) return;
     log().info("mapping: voxels of {:.4g} instead of {:.4g} map units", size, volume->voxel_size());
-    counts.dropped_blocks += volume->dropped_blocks();
-    volume.emplace(size, options.max_blocks, slice_end);
-    for (auto& [id, entry] : entries) entry.fused.reset();
+    counts.lost_blocks += volume->lost_blocks();
     ++version;
-    if (sink)
-      for (const BlockIndex& index : shown)
-        sink->on_block({{index.x, index.y, index.z}, version, {}});
+    if (sink) {
+      for (const BlockIndex& index : shown) sink->on_block(shown_block(index, {}));
+      sink->on_complete(version);
+    }
     shown.clear();
+    start_volume(size);
+    mapped.forget_fused();
     ++counts.refits;
   }
 
   std::optional<std::size_t> next_keyframe(const MapSnapshot& map, bool at_end) const {
-    for (std::size_t i = 0; i < map.keyframes.size(); ++i) {
-      if (entries.contains(map.keyframes[i]->id)) continue;
-      const std::size_t newest = i + kNewerKeyframes;
-      const bool settled = newest < map.keyframes.size() ||
-                           map.keyframes.back()->segment != map.keyframes[i]->segment;
-      if (at_end || settled) return i;
-      return std::nullopt;
-    }
+    const auto next =
+        last_tried ? std::upper_bound(map.keyframes.begin(), map.keyframes.end(), *last_tried,
+                                      [](KeyframeId id, const auto& k) { return id < k->id; })
+                   : map.keyframes.begin();
+    if (next == map.keyframes.end()) return std::nullopt;
+    const auto i = static_cast<std::size_t>(next - map.keyframes.begin());
+    const bool settled = i + kNewerKeyframes < map.keyframes.size() ||
+                         map.keyframes.back()->segment != (*next)->segment;
+    if (at_end || settled) return i;
     return std::nullopt;
   }
 
   void map_keyframe(const MapSnapshot& map, std::size_t index, int segment) {
     const Keyframe& keyframe = *map.keyframes[index];
-    Entry& entry = entries[keyframe.id];
-    entry.segment = keyframe.segment;
+    last_tried = keyframe.id;
     const auto scene = scene_depth(map, keyframe);
     if (scene && is_near_last(map, keyframe, scene->median)) {
       ++counts.skipped;
       return;
     }
-    std::shared_ptr<DepthMap> depth;
-    if (scene) depth = estimate(map, index, *scene);
+    auto depth = scene ? estimate(map, index, *scene) : std::nullopt;
     if (!depth) {
       ++counts.without_depth;
       log().debug("keyframe {}: no depth", keyframe.id.value);
       return;
     }
-    entry.depth = depth;
-    entry.frame = keyframe.frame;
-    entry.lens = lens_of(map, keyframe);
-    entry.median_depth = scene->median;
-    entry.landmark_depths = landmark_depths(map, keyframe);
     last_mapped[keyframe.segment] = keyframe.id;
-    depth_maps.push_back(depth);
     ++counts.depth_maps;
-    if (keyframe.segment == segment) put_in(entry, keyframe.T_world_camera, map);
-  }
-
-  static std::vector<std::pair<LandmarkId, double>> landmark_depths(const MapSnapshot& map,
-                                                                    const Keyframe& keyframe) {
-    std::vector<std::pair<LandmarkId, double>> depths;
-    const Pose T_camera_world = keyframe.T_world_camera.inverse();
-    for (const Observation& o : keyframe.observations) {
-      const Landmark* landmark = map.find(o.landmark);
-      if (!landmark) continue;
-      const double z = (T_camera_world * landmark->p_world).z();
-      if (z > 0) depths.emplace_back(o.landmark, z);
-    }
-    return depths;
-  }
-
-  /// How much longer the keyframe's landmarks are away than when its depth was estimated: the scale
-  /// of a single camera's map may change as it is adjusted. 1 if too few of them are left.
-  static double scale_since(const Entry& entry, const MapSnapshot& map, const Keyframe& keyframe) {
-    constexpr std::size_t kLandmarks = 10;
-    std::vector<double> ratios;
-    const auto now = landmark_depths(map, keyframe);
-    auto then = entry.landmark_depths.begin();
-    for (const auto& [id, z] : now) {
-      while (then != entry.landmark_depths.end() && then->first < id) ++then;
-      if (then == entry.landmark_depths.end()) break;
-      if (then->first == id) ratios.push_back(z / then->second);
-    }
-    return ratios.size() < kLandmarks ? 1 : median_of(std::move(ratios));
-  }
-
-  void rescale(Entry& entry, double scale) {
-    auto scaled = std::make_shared<DepthMap>(*entry.depth);
-    for (std::size_t i = 0; i < scaled->depth.size(); ++i)
-      scaled->depth.data()[i] *= static_cast<float>(scale);
-    std::replace(depth_maps.begin(), depth_maps.end(), entry.depth,
-                 std::shared_ptr<const DepthMap>(scaled));
-    entry.depth = std::move(scaled);
-    entry.median_depth *= scale;
-    for (auto& [id, z] : entry.landmark_depths) z *= scale;
+    fit_is_stale = true;
+    MappedKeyframe& entry = mapped.add(
+        keyframe.id,
+        {map, keyframe, lens_of(map, keyframe), StoredDepth(std::move(*depth)), scene->median});
+    if (keyframe.segment == segment) put_in(entry, keyframe.T_world_camera);
   }
 
   static Camera lens_of(const MapSnapshot& map, const Keyframe& keyframe) {
@@ -250,17 +206,17 @@ struct Mapper::Impl {
     return it != map.keyframes.end() && (*it)->id == id ? it->get() : nullptr;
   }
 
-  std::shared_ptr<DepthMap> estimate(const MapSnapshot& map, std::size_t index,
-                                     const SceneDepth& scene) {
+  std::optional<DepthMap> estimate(const MapSnapshot& map, std::size_t index,
+                                   const SceneDepth& scene) {
     Stopwatch watch;
     const Keyframe& keyframe = *map.keyframes[index];
     const Camera lens = lens_of(map, keyframe);
-    auto depth = std::make_shared<DepthMap>();
+    std::optional<DepthMap> depth(std::in_place);
     depth->keyframe = keyframe.id;
     depth->camera = images.camera_of(lens);
     depth->T_world_camera = keyframe.T_world_camera;
     if (std::min(depth->camera.width_px, depth->camera.height_px) < options.template_px) {
-      return nullptr;
+      return std::nullopt;
     }
     // The kernels count the elements of their volumes in 32 bits.
     const double elements = (depth->camera.width_px + 64.0) * (depth->camera.height_px + 32.0) *
@@ -270,7 +226,7 @@ struct Mapper::Impl {
           "keyframe {}: no depth: {:.0f} elements are too many for one sweep; raise "
           "mapping.depth_scale",
           keyframe.id.value, elements);
-      return nullptr;
+      return std::nullopt;
     }
     const double near = scene.near / kRangeMargin, far = scene.far * kRangeMargin;
     ViewChoiceOptions choice;
@@ -280,9 +236,10 @@ struct Mapper::Impl {
     const std::vector<Neighbour> chosen = choose_neighbours(map, index, choice);
 
     const auto reference = images.sweep_image(keyframe, lens, sweeper);
-    if (!reference) return nullptr;
+    if (!reference) return std::nullopt;
     std::vector<std::shared_ptr<const SweepImage>> held;
     std::vector<SweepNeighbour> neighbours;
+    std::vector<std::shared_ptr<const DepthMap>> seen_before;
     std::vector<DepthWitness> witnesses;
     for (const Neighbour& n : chosen) {
       const Keyframe& other = *map.keyframes[n.index];
@@ -292,13 +249,13 @@ struct Mapper::Impl {
       held.push_back(image);
       const Pose T_other_this = other.T_world_camera.inverse() * keyframe.T_world_camera;
       neighbours.push_back({image.get(), depth->camera, T_other_this});
-      const auto known = entries.find(other.id);
-      if (known != entries.end() && known->second.depth) {
-        witnesses.push_back({known->second.depth.get(), T_other_this});
+      if (const MappedKeyframe* known = mapped.find(other.id)) {
+        seen_before.push_back(known->depth.scaled());
+        witnesses.push_back({seen_before.back().get(), T_other_this});
       }
     }
     timings.emplace_back("images", watch.lap_ms());
-    if (static_cast<int>(neighbours.size()) < options.min_views) return nullptr;
+    if (static_cast<int>(neighbours.size()) < options.min_views) return std::nullopt;
 
     SweepResult result = sweeper.estimate({reference.get(), depth->camera, neighbours, near, far,
                                            options.depth_samples, true, kRefinements});
@@ -317,7 +274,7 @@ struct Mapper::Impl {
                                 [](float z) { return z > 0; })) /
                             rays;
     timings.emplace_back("clean", watch.lap_ms());
-    if (answered < kMinAnswered) return nullptr;
+    if (answered < kMinAnswered) return std::nullopt;
     answered_sum += answered;
     return depth;
   }
@@ -325,61 +282,50 @@ struct Mapper::Impl {
   /// Re-fuses the keyframe that moved farthest, if one moved far enough; takes out what is no
   /// longer part of the map.
   bool follow_poses(const MapSnapshot& map, int segment) {
-    Entry* worst = nullptr;
-    const Keyframe* worst_keyframe = nullptr;
-    double worst_motion = kRefuseMotion_vox * volume->voxel_size(), worst_scale = 1;
-    constexpr int kSliceEntries = 8;
-    Slicer looks(slice_end, kSliceEntries);
-    for (auto& [id, entry] : entries) {
-      if (!entry.depth) continue;
-      looks.piece();
-      const Keyframe* keyframe = find(map, id);
-      if (keyframe) entry.segment = keyframe->segment;  // segments that meet become one
-      const bool wanted = keyframe && keyframe->segment == segment;
-      double scale = wanted ? scale_since(entry, map, *keyframe) : 1;
-      if (std::abs(scale - 1) < kMinRescale) scale = 1;
-      double motion = 0;
-      if (wanted != entry.fused.has_value()) {
-        motion = std::numeric_limits<double>::infinity();
-      } else if (wanted) {
-        const Pose &now = keyframe->T_world_camera, &then = entry.fused->T_world_camera;
-        motion = (now.translation() - then.translation()).norm() +
-                 rotation_between(now, then) * entry.median_depth +
-                 std::abs(scale - 1) * entry.median_depth;
-      }
-      if (motion <= worst_motion) continue;
-      worst = &entry;
-      worst_keyframe = wanted ? keyframe : nullptr;
-      worst_motion = motion;
-      worst_scale = scale;
-    }
-    if (!worst) return false;
+    mapped.look(map, segment, kRefuseMotion_vox * volume->voxel_size(), slice_end);
+    const auto move = mapped.next_move();
+    if (!move) return false;
     end_slice();
-    if (worst->fused) {
+    MappedKeyframe& entry = *move->keyframe;
+    if (entry.fused) {
       Stopwatch watch;
-      volume->unfuse(*worst->fused, *worst->depth,
-                     images.colours(*worst->frame->load(), worst->lens));
-      worst->fused.reset();
+      volume->unfuse(*entry.fused, *entry.depth.scaled(),
+                     images.colours(*entry.frame->load(), entry.lens));
+      entry.fused.reset();
       timings.emplace_back("unfuse", watch.lap_ms());
-      counts.refusions += worst_keyframe != nullptr;
+      counts.refusions += move->wanted;
     }
-    if (worst_keyframe) {
-      if (worst_scale != 1) rescale(*worst, worst_scale);
-      put_in(*worst, worst_keyframe->T_world_camera, map);
+    if (move->wanted) {
+      if (entry.growth != 1) grow(entry);
+      put_in(entry, entry.looked_at->T_world_camera);
     } else {
       show_changes();
     }
     return true;
   }
 
-  void put_in(Entry& entry, const Pose& T_world_camera, const MapSnapshot& map) {
+  void grow(MappedKeyframe& entry) {
+    entry.depth.scale *= entry.growth;
+    entry.median_depth *= entry.growth;
+    for (auto& [id, z] : entry.landmark_depths) z *= entry.growth;
+    fit_is_stale = true;
+  }
+
+  void put_in(MappedKeyframe& entry, const Pose& T_world_camera) {
     end_slice();
     Stopwatch watch;
-    const Eigen::Vector3d p_newest = map.keyframes.back()->T_world_camera.translation();
-    entry.fused = volume->fuse(*entry.depth, images.colours(*entry.frame->load(), entry.lens),
-                               T_world_camera, p_newest);
+    entry.fused = volume->fuse(*entry.depth.scaled(),
+                               images.colours(*entry.frame->load(), entry.lens), T_world_camera);
     timings.emplace_back("fuse", watch.lap_ms());
     show_changes();
+  }
+
+  [[nodiscard]] MeshBlock shown_block(const BlockIndex& index, TriangleMesh mesh) const {
+    return {{index.x, index.y, index.z},
+            version,
+            volume->voxel_size(),
+            kMeshBlockSide * VoxelBlock::kSide,
+            std::move(mesh)};
   }
 
   void show_changes() {
@@ -387,20 +333,22 @@ struct Mapper::Impl {
     if (!sink || changed.empty()) return;
     Stopwatch watch;
     ++version;
-    constexpr int kSliceBlocks = 16;
+    constexpr int kSliceBlocks = 2;
     Slicer meshed(slice_end, kSliceBlocks);
     for (const BlockIndex& index : blocks_to_remesh(changed)) {
       meshed.piece();
-      MeshBlock block{{index.x, index.y, index.z}, version, mesh_block(*volume, index)};
+      const MeshBlock block = shown_block(index, mesh_block(*volume, index));
       if (block.mesh.empty() ? shown.erase(index) == 0 : (shown.insert(index), false)) continue;
       sink->on_block(block);
     }
+    sink->on_complete(version);
     timings.emplace_back("mesh", watch.lap_ms());
   }
 };
 
 Expected<std::unique_ptr<Mapper>> Mapper::create(std::shared_ptr<Device> device,
                                                  const MappingOptions& options, MeshSink* sink,
+                                                 std::shared_ptr<Archive> archive,
                                                  SliceEnd slice_end) {
   if (const auto problems = options.validate(); !problems.empty()) {
     return fail(ErrorCode::invalid_argument, problems.front(), "mapping options");
@@ -413,9 +361,9 @@ Expected<std::unique_ptr<Mapper>> Mapper::create(std::shared_ptr<Device> device,
   if (!sweeper) return tl::unexpected(sweeper.error());
   auto warper = Warper::create(device);
   if (!warper) return tl::unexpected(warper.error());
-  return std::unique_ptr<Mapper>(
-      new Mapper(std::make_unique<Impl>(std::move(device), options, sink, std::move(slice_end),
-                                        std::move(*sweeper), std::move(*warper))));
+  return std::unique_ptr<Mapper>(new Mapper(
+      std::make_unique<Impl>(std::move(device), options, sink, std::move(archive),
+                             std::move(slice_end), std::move(*sweeper), std::move(*warper))));
 }
 
 Mapper::Mapper(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -432,8 +380,10 @@ TriangleMesh Mapper::mesh() const {
   return impl_->volume ? mesh_all(*impl_->volume) : TriangleMesh{};
 }
 
-const std::vector<std::shared_ptr<const DepthMap>>& Mapper::depth_maps() const {
-  return impl_->depth_maps;
+std::vector<StoredDepth> Mapper::depth_maps() const {
+  std::vector<StoredDepth> out;
+  for (const auto& [id, entry] : impl_->mapped.all()) out.push_back(entry.depth);
+  return out;
 }
 
 double Mapper::voxel_size() const { return impl_->volume ? impl_->volume->voxel_size() : 0; }
@@ -442,7 +392,8 @@ MapperStatistics Mapper::statistics() const {
   MapperStatistics out = impl_->counts;
   if (impl_->volume) {
     out.blocks = impl_->volume->size();
-    out.dropped_blocks += impl_->volume->dropped_blocks();
+    out.blocks_in_memory = impl_->volume->in_memory();
+    out.lost_blocks += impl_->volume->lost_blocks();
   }
   if (out.depth_maps > 0) out.answered = impl_->answered_sum / static_cast<double>(out.depth_maps);
   return out;

@@ -10,20 +10,22 @@
 #include "corvid/mesh_stream.h"
 #include "corvid/options.h"
 #include "corvid/ports.h"
+#include "corvid/stored_depth.h"
 #include "kernels/device.h"
 #include "mapping/slices.h"
 
 namespace corvid {
 
 struct MapperStatistics {
-  std::uint64_t depth_maps = 0;      ///< keyframes with depth
-  std::uint64_t without_depth = 0;   ///< tried, but too few neighbours or answers
-  std::uint64_t skipped = 0;         ///< too near to the keyframe mapped before
-  std::uint64_t refusions = 0;       ///< keyframes taken out and put back in at a new pose
-  std::uint64_t refits = 0;          ///< times the volume started again with another voxel size
-  std::uint64_t blocks = 0;          ///< voxel blocks in memory now
-  std::uint64_t dropped_blocks = 0;  ///< voxel blocks dropped or not made, for the budget
-  double answered = 0;               ///< mean share of rays with depth, of the depth maps
+  std::uint64_t depth_maps = 0;        ///< keyframes with depth
+  std::uint64_t without_depth = 0;     ///< tried, but too few neighbours or answers
+  std::uint64_t skipped = 0;           ///< too near to the keyframe mapped before
+  std::uint64_t refusions = 0;         ///< keyframes taken out and put back in at a new pose
+  std::uint64_t refits = 0;            ///< times the volume started again with another voxel size
+  std::uint64_t blocks = 0;            ///< voxel blocks there are now
+  std::uint64_t blocks_in_memory = 0;  ///< of those
+  std::uint64_t lost_blocks = 0;       ///< for which neither memory nor the archive had room
+  double answered = 0;                 ///< mean share of rays with depth, of the depth maps
 };
 
 /// The mapping stage: depth maps of keyframes, fused into a voxel map that follows the poses, and
@@ -35,13 +37,15 @@ struct MapperStatistics {
 class Mapper {
  public:
   /// @param sink  gets the mesh of every changed block; may be null; outlives the mapper.
+  /// @param archive  takes what is not in use beyond options.memory_mb; may be null: then depth
+  /// maps
+  ///        stay in memory, and voxel blocks beyond the budget are lost.
   /// @param slice_end  called every few milliseconds of work on the host. The device's work is in
   ///        Lane::mapping, in launches that are short each. Changes no result.
   /// Fails if an option is wrong or the kernels do not build.
-  [[nodiscard]] static Expected<std::unique_ptr<Mapper>> create(std::shared_ptr<Device> device,
-                                                                const MappingOptions& options,
-                                                                MeshSink* sink,
-                                                                SliceEnd slice_end = {});
+  [[nodiscard]] static Expected<std::unique_ptr<Mapper>> create(
+      std::shared_ptr<Device> device, const MappingOptions& options, MeshSink* sink,
+      std::shared_ptr<Archive> archive = nullptr, SliceEnd slice_end = {});
   ~Mapper();
 
   /// Does one unit of work against the newest map: estimates one keyframe's depth and fuses it, or
@@ -54,8 +58,8 @@ class Mapper {
 
   /// The whole surface, vertices on the borders of blocks welded.
   [[nodiscard]] TriangleMesh mesh() const;
-  /// In the order of their estimation.
-  [[nodiscard]] const std::vector<std::shared_ptr<const DepthMap>>& depth_maps() const;
+  /// By keyframe, each at the pose of its estimate.
+  [[nodiscard]] std::vector<StoredDepth> depth_maps() const;
   /// [map units]; 0 until the first keyframes have shown how large the scene is. Without a fixed
   /// options.voxel_size it follows the typical depth of the scene in steps of a factor of 2 or
   /// more.

@@ -94,8 +94,8 @@ struct EdgeKeyHash {
 
 Eigen::Vector3f mean_colour(const Voxel& voxel) {
   const auto w = static_cast<float>(voxel.sum_colour_weight);
-  return {static_cast<float>(voxel.sum_colour[0]) / w, static_cast<float>(voxel.sum_colour[1]) / w,
-          static_cast<float>(voxel.sum_colour[2]) / w};
+  return {static_cast<float>(voxel.sum_red) / w, static_cast<float>(voxel.sum_green) / w,
+          static_cast<float>(voxel.sum_blue) / w};
 }
 
 Rgb8 blend_colours(const Voxel& a, const Voxel& b, float t) {
@@ -182,10 +182,16 @@ class BlockMesher {
 
 }  // namespace
 
-TriangleMesh mesh_block(const VoxelBlocks& volume, const BlockIndex& index,
+TriangleMesh mesh_block(const VoxelBlocks& volume, const BlockIndex& mesh_block,
                         const MesherOptions& options) {
   TriangleMesh mesh;
-  if (volume.find(index)) BlockMesher(volume, options, mesh).add(index);
+  BlockMesher mesher(volume, options, mesh);
+  for (int i = 0; i < kMeshBlockSide * kMeshBlockSide * kMeshBlockSide; ++i) {
+    const BlockIndex index{kMeshBlockSide * mesh_block.x + i % kMeshBlockSide,
+                           kMeshBlockSide * mesh_block.y + i / kMeshBlockSide % kMeshBlockSide,
+                           kMeshBlockSide * mesh_block.z + i / (kMeshBlockSide * kMeshBlockSide)};
+    if (volume.contains(index)) mesher.add(index);
+  }
   return mesh;
 }
 
@@ -197,10 +203,14 @@ TriangleMesh mesh_all(const VoxelBlocks& volume, const MesherOptions& options) {
 }
 
 std::vector<BlockIndex> blocks_to_remesh(const std::vector<BlockIndex>& changed) {
+  const auto mesh_index = [](int block) {
+    return block >= 0 ? block / kMeshBlockSide : (block + 1) / kMeshBlockSide - 1;
+  };
   std::set<BlockIndex> out;
   for (const BlockIndex& b : changed) {
     for (int i = 0; i < 27; ++i) {
-      out.insert({b.x + i % 3 - 1, b.y + i / 3 % 3 - 1, b.z + i / 9 - 1});
+      out.insert({mesh_index(b.x + i % 3 - 1), mesh_index(b.y + i / 3 % 3 - 1),
+                  mesh_index(b.z + i / 9 - 1)});
     }
   }
   return {out.begin(), out.end()};

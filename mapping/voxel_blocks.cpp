@@ -11,11 +11,12 @@ namespace corvid {
 namespace {
 
 constexpr int kSide = VoxelBlock::kSide;
+constexpr int kColourShare = Voxel::kMaxWeight / Voxel::kMaxColourWeight;
 // Pieces of work in a slice of about two milliseconds.
-constexpr int kSliceRows = 16, kSliceBlocks = 128, kSliceNewBlocks = 512, kSliceLooks = 20000;
+constexpr int kSliceRows = 16, kSliceBlocks = 128, kSliceLooks = 20000;
 
-/// Per-ray weight in [0, kMaxWeight]: confidence times cosine of the viewing angle, less for depths
-/// beyond `full_weight_depth`. 0 where there is no depth.
+/// Per-ray weight in [0, Voxel::kMaxWeight]: confidence times cosine of the viewing angle, less for
+/// depths beyond `full_weight_depth`. 0 where there is no depth.
 FloatImage ray_weights(const DepthMap& map, double full_weight_depth) {
   const FloatImage& depth = map.depth;
   const Camera& camera = map.camera;
@@ -42,9 +43,8 @@ FloatImage ray_weights(const DepthMap& map, double full_weight_depth) {
         if (length > 0) cosine = std::abs(normal.dot(p)) / length;
       }
       const double far = std::min(1.0, full_weight_depth / z);
-      weights(x, y) =
-          static_cast<float>(VoxelBlocks::kMaxWeight *
-                             std::clamp<double>(map.confidence(x, y), 0, 1) * cosine * far * far);
+      weights(x, y) = static_cast<float>(
+          Voxel::kMaxWeight * std::clamp<double>(map.confidence(x, y), 0, 1) * cosine * far * far);
     }
   }
   return weights;
@@ -128,14 +128,16 @@ Said integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex&
         out.sum_weight += static_cast<std::uint32_t>(sign * w);
         if (coloured && std::abs(distance) < 0.5F * p.truncation) {
           const Rgb8& c = p.colour(px, py);
-          out.sum_colour_weight += static_cast<std::uint32_t>(sign * w);
-          out.sum_colour[0] += static_cast<std::uint32_t>(sign * w * c.r);
-          out.sum_colour[1] += static_cast<std::uint32_t>(sign * w * c.g);
-          out.sum_colour[2] += static_cast<std::uint32_t>(sign * w * c.b);
+          const int cw = sign * ((w + kColourShare - 1) / kColourShare);
+          out.sum_colour_weight += static_cast<std::uint32_t>(cw);
+          out.sum_red += static_cast<std::uint32_t>(cw * c.r);
+          out.sum_green += static_cast<std::uint32_t>(cw * c.g);
+          out.sum_blue += static_cast<std::uint32_t>(cw * c.b);
         }
       }
     }
   }
+  block.views += said.anything ? sign : 0;
   block.surface_views += said.surface ? sign : 0;
   return said;
 }
@@ -147,12 +149,71 @@ BlockIndex block_of(const Eigen::Vector3d& p_world, double block_size, double ha
   return {cell(p_world.x()), cell(p_world.y()), cell(p_world.z())};
 }
 
+/// Which blocks a depth map can say something of: those that some ray meets before its depth and
+/// the truncation distance behind it end. Errs on the side of too many.
+class Reach {
+ public:
+  Reach(const DepthMap& map, const Pose& T_camera_world, double voxel_size, double truncation)
+      : camera_(map.camera),
+        T_camera_world_(T_camera_world),
+        voxel_size_(voxel_size),
+        truncation_(truncation),
+        deepest_((map.depth.width() + kTile - 1) / kTile,
+                 (map.depth.height() + kTile - 1) / kTile) {
+    for (int y = 0; y < map.depth.height(); ++y) {
+      for (int x = 0; x < map.depth.width(); ++x) {
+        float& deepest = deepest_(x / kTile, y / kTile);
+        deepest = std::max(deepest, map.depth(x, y));
+      }
+    }
+  }
+
+  [[nodiscard]] bool may_reach(const BlockIndex& b) const {
+    const double radius = 0.5 * std::sqrt(3.0) * kSide * voxel_size_;
+    const Eigen::Vector3d centre =
+        T_camera_world_ *
+        ((Eigen::Vector3d(b.x, b.y, b.z) * kSide + Eigen::Vector3d::Constant(0.5 * (kSide - 1))) *
+         voxel_size_);
+    if (centre.z() < -radius) return false;
+    if (centre.z() < 2 * radius) return true;
+    const double u = camera_.fx_px * centre.x() / centre.z() + camera_.cx_px;
+    const double v = camera_.fy_px * centre.y() / centre.z() + camera_.cy_px;
+    // Generous: a sphere's image reaches at most |offset| / (z - r) farther than its centre's.
+    const double reach = radius / (centre.z() - radius);
+    const double margin_u = (camera_.fx_px + std::abs(u - camera_.cx_px)) * reach + 1;
+    const double margin_v = (camera_.fy_px + std::abs(v - camera_.cy_px)) * reach + 1;
+    if (!(u > -margin_u && v > -margin_v && u < camera_.width_px + margin_u &&
+          v < camera_.height_px + margin_v))
+      return false;
+    const auto tile = [](double at_px, int tiles) {
+      return static_cast<int>(std::clamp(at_px / kTile, 0.0, tiles - 1.0));
+    };
+    const int x_end = tile(u + margin_u, deepest_.width());
+    const int y_end = tile(v + margin_v, deepest_.height());
+    for (int y = tile(v - margin_v, deepest_.height()); y <= y_end; ++y) {
+      for (int x = tile(u - margin_u, deepest_.width()); x <= x_end; ++x) {
+        const double deepest = deepest_(x, y);
+        if (deepest > 0 && centre.z() <= deepest + truncation_ + radius) return true;
+      }
+    }
+    return false;
+  }
+
+ private:
+  static constexpr int kTile = 16;  // [px]
+  Camera camera_;
+  Pose T_camera_world_;
+  double voxel_size_, truncation_;
+  FloatImage deepest_;  // depth in each tile; 0 without an answer
+};
+
 }  // namespace
 
-VoxelBlocks::VoxelBlocks(double voxel_size, int max_blocks, SliceEnd slice_end)
+VoxelBlocks::VoxelBlocks(double voxel_size, const VoxelBudget& budget,
+                         std::shared_ptr<Archive> archive, const SliceEnd& slice_end)
     : voxel_size_(voxel_size),
-      max_blocks_(static_cast<std::size_t>(std::max(1, max_blocks))),
-      slice_end_(std::move(slice_end)) {
+      slice_end_(slice_end),
+      store_(budget, std::move(archive), slice_end) {
   CORVID_CHECK(voxel_size > 0 && std::isfinite(voxel_size), "voxel size must be positive");
 }
 
@@ -191,7 +252,7 @@ std::vector<BlockIndex> VoxelBlocks::blocks_on_surface(const DepthMap& map,
 }
 
 FusedView VoxelBlocks::fuse(const DepthMap& map, const ColourImage& colour,
-                            const Pose& T_world_camera, const Eigen::Vector3d& p_keep) {
+                            const Pose& T_world_camera) {
   CORVID_CHECK(T_world_camera.finite(), "pose must be finite");
   CORVID_CHECK(
       map.confidence.width() == map.depth.width() && map.confidence.height() == map.depth.height(),
@@ -200,33 +261,34 @@ FusedView VoxelBlocks::fuse(const DepthMap& map, const ColourImage& colour,
                    (colour.width() == map.depth.width() && colour.height() == map.depth.height()),
                "colour must have the size of the depth map");
   FusedView view{T_world_camera, {}};
-  make_blocks(blocks_on_surface(map, T_world_camera), p_keep);
   const FloatImage weights = ray_weights(map, kFullWeightVoxels * voxel_size_);
   const Pose T_camera_world = T_world_camera.inverse();
   const Projector projector(map, weights, colour, T_camera_world, voxel_size_, truncation());
-  const float deepest =
-      map.depth.empty() ? 0
-                        : *std::max_element(map.depth.data(), map.depth.data() + map.depth.size());
+  // Blocks with a surface in this view, and those that are there and may be seen as free space.
+  std::vector<BlockIndex> in_view = blocks_on_surface(map, T_world_camera);
+  const Reach reach(map, T_camera_world, voxel_size_, truncation());
   Slicer looks(slice_end_, kSliceLooks), written(slice_end_, kSliceBlocks);
-  for (auto it = blocks_.begin(); it != blocks_.end();) {
-    VoxelBlock& block = *it->second;
-    Said said;
+  for (const BlockIndex& index : store_.indices()) {
     looks.piece();
-    if (may_be_seen(it->first, map.camera, T_camera_world, deepest)) {
-      said = integrate(projector, T_camera_world, it->first, block, 1);
-      written.piece();
-    }
-    if (block.surface_views == 0) {  // was made for this view, which then had no surface in it
-      it = blocks_.erase(it);
-      continue;
-    }
-    if (said.anything) {
-      view.blocks.emplace_back(it->first, block.serial);
-      changed_.insert(it->first);
-    }
-    ++it;
+    if (reach.may_reach(index)) in_view.push_back(index);
   }
-  std::sort(view.blocks.begin(), view.blocks.end());
+  std::sort(in_view.begin(), in_view.end());
+  in_view.erase(std::unique(in_view.begin(), in_view.end()), in_view.end());
+  for (const BlockIndex& index : in_view) {
+    written.piece();
+    const bool is_new = !store_.contains(index);
+    VoxelBlock* block = is_new ? &store_.make(index) : store_.find(index);
+    if (!block || block->views >= VoxelBlock::kMaxViews) continue;
+    const Said said = integrate(projector, T_camera_world, index, *block, 1);
+    if (is_new && !said.surface) {
+      store_.erase(index);
+    } else if (said.anything) {
+      store_.changed(index);
+      view.blocks.emplace_back(index, *store_.serial(index));
+      changed_.insert(index);
+    }
+  }
+  note_lost();
   return view;
 }
 
@@ -237,94 +299,45 @@ void VoxelBlocks::unfuse(const FusedView& view, const DepthMap& map, const Colou
   Slicer written(slice_end_, kSliceBlocks);
   for (const auto& [index, serial] : view.blocks) {
     written.piece();
-    const auto it = blocks_.find(index);
-    if (it == blocks_.end() || it->second->serial != serial) continue;
-    integrate(projector, T_camera_world, index, *it->second, -1);
+    if (store_.serial(index) != serial) continue;
+    VoxelBlock* block = store_.find(index);
+    if (!block) continue;
+    (void)integrate(projector, T_camera_world, index, *block, -1);
+    store_.changed(index);
     changed_.insert(index);
-    if (it->second->surface_views == 0) blocks_.erase(it);
+    if (block->surface_views == 0) store_.erase(index);
   }
+  note_lost();
 }
 
-bool VoxelBlocks::may_be_seen(const BlockIndex& b, const Camera& camera, const Pose& T_camera_world,
-                              double deepest) const {
-  const double radius = 0.5 * std::sqrt(3.0) * kSide * voxel_size_;
-  const Eigen::Vector3d centre =
-      T_camera_world *
-      ((Eigen::Vector3d(b.x, b.y, b.z) * kSide + Eigen::Vector3d::Constant(0.5 * (kSide - 1))) *
-       voxel_size_);
-  if (centre.z() < -radius || centre.z() > deepest + truncation() + radius) return false;
-  if (centre.z() < 2 * radius) return true;
-  const double u = camera.fx_px * centre.x() / centre.z() + camera.cx_px;
-  const double v = camera.fy_px * centre.y() / centre.z() + camera.cy_px;
-  // Generous: a sphere's image reaches at most |offset| / (z - r) farther than its centre's.
-  const double reach = radius / (centre.z() - radius);
-  const double margin_u = (camera.fx_px + std::abs(u - camera.cx_px)) * reach + 1;
-  const double margin_v = (camera.fy_px + std::abs(v - camera.cy_px)) * reach + 1;
-  return u > -margin_u && v > -margin_v && u < camera.width_px + margin_u &&
-         v < camera.height_px + margin_v;
-}
-
-void VoxelBlocks::make_blocks(const std::vector<BlockIndex>& wanted,
-                              const Eigen::Vector3d& p_keep) {
-  std::vector<BlockIndex> missing;
-  for (const BlockIndex& b : wanted) {
-    if (!blocks_.contains(b)) missing.push_back(b);
-  }
-  if (blocks_.size() + missing.size() > max_blocks_) {
-    const Eigen::Vector3d p = p_keep / (kSide * voxel_size_) - Eigen::Vector3d::Constant(0.5);
-    std::vector<std::pair<double, BlockIndex>> by_distance;
-    const auto add = [&](const BlockIndex& b) {
-      by_distance.emplace_back((Eigen::Vector3d(b.x, b.y, b.z) - p).squaredNorm(), b);
-    };
-    for (const auto& [index, block] : blocks_) add(index);
-    for (const BlockIndex& b : missing) add(b);
-    const auto end = by_distance.begin() + static_cast<std::ptrdiff_t>(max_blocks_);
-    std::nth_element(by_distance.begin(), end, by_distance.end());
-    std::set<BlockIndex> leave_out;
-    for (auto it = end; it != by_distance.end(); ++it) {
-      leave_out.insert(it->second);
-      if (blocks_.erase(it->second) > 0) changed_.insert(it->second);
-    }
-    dropped_ += leave_out.size();
-    std::erase_if(missing, [&](const BlockIndex& b) { return leave_out.contains(b); });
-  }
-  Slicer made(slice_end_, kSliceNewBlocks);
-  for (const BlockIndex& b : missing) {
-    made.piece();
-    auto& block = blocks_[b];
-    block = std::make_unique<VoxelBlock>();
-    block->serial = next_serial_++;
-  }
+void VoxelBlocks::note_lost() {
+  for (const BlockIndex& index : store_.take_lost()) changed_.insert(index);
 }
 
 std::vector<BlockIndex> VoxelBlocks::take_changed() {
+  note_lost();
   std::vector<BlockIndex> out(changed_.begin(), changed_.end());
   changed_.clear();
   return out;
 }
 
 std::vector<BlockIndex> VoxelBlocks::indices() const {
-  std::vector<BlockIndex> out;
-  out.reserve(blocks_.size());
-  for (const auto& [index, block] : blocks_) out.push_back(index);
+  std::vector<BlockIndex> out = store_.indices();
   std::sort(out.begin(), out.end());
   return out;
 }
 
-const VoxelBlock* VoxelBlocks::find(const BlockIndex& index) const {
-  const auto it = blocks_.find(index);
-  return it == blocks_.end() ? nullptr : it->second.get();
-}
+const VoxelBlock* VoxelBlocks::find(const BlockIndex& index) const { return store_.find(index); }
 
 VoxelBlock& VoxelBlocks::touch(const BlockIndex& index) {
-  auto& block = blocks_[index];
-  if (!block) {
-    block = std::make_unique<VoxelBlock>();
-    block->serial = next_serial_++;
-    block->surface_views = 1;
-  }
   changed_.insert(index);
-  return *block;
+  if (VoxelBlock* block = store_.find(index)) {
+    store_.changed(index);
+    return *block;
+  }
+  VoxelBlock& block = store_.make(index);
+  block.views = block.surface_views = 1;
+  return block;
 }
 
 }  // namespace corvid

@@ -16,8 +16,9 @@ namespace corvid {
 struct EngineSinks {
   PoseSink* pose = nullptr;
   MeshSink* mesh = nullptr;
-  /// Where the pictures of older keyframes go (options.keyframe_images_mb); null: they stay in
-  /// memory, which then grows with the flight. What a run returns reads from it, too.
+  /// Where the pictures of older keyframes go (options.keyframe_images_mb), depth maps and voxels
+  /// (options.mapping.memory_mb); null: pictures and depth maps stay in memory, which then grows
+  /// with the flight, and voxels beyond the budget are lost. What a run returns reads from it, too.
   std::shared_ptr<Archive> archive = nullptr;
 };
 

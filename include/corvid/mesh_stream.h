@@ -19,10 +19,14 @@ struct TriangleMesh {
   [[nodiscard]] bool empty() const { return triangles.empty(); }
 };
 
-/// The surface inside one block of the voxel map. A block without triangles removes what was there.
+/// The surface inside one cube of the voxel map. A block without triangles removes what was there.
+/// Block (i,j,k) covers [i, i + 1] * side_vox * voxel_size on the x axis and so on; blocks that
+/// meet share the vertices on their common face bit for bit.
 struct MeshBlock {
-  std::array<int, 3> index{};  ///< block coordinates in the voxel grid
-  std::uint64_t version = 0;   ///< rises with every change of the map
+  std::array<int, 3> index{};
+  std::uint64_t version = 0;  ///< rises with every change of the map
+  double voxel_size = 0;      ///< [map units]; where it changes, all older blocks are removed first
+  int side_vox = 0;           ///< voxels along an edge of the cube
   TriangleMesh mesh;
 };
 

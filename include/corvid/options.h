@@ -105,7 +105,10 @@ struct MappingOptions {
   double min_score = 0.6;  ///< tau: a neighbour counts above it (thesis 6.4)
   int min_views = 2;       ///< neighbours that must agree (thesis 6.4)
   double voxel_size = 0;   ///< [map units]; 0: median scene depth / 96
-  int max_blocks = 60000;  ///< 8x8x8 voxel blocks kept; the farthest are dropped first
+  int memory_mb = 256;     ///< depth maps and voxels in memory [MiB]; what is not in use goes to a
+                           ///< file
+  int disk_mb = 4096;      ///< of voxels in that file [MiB]; beyond it the oldest are lost
+  double stream_bytes_per_s = 250000;  ///< of mesh, to each receiver
   /// Of the snapshot by graph cut (thesis 6.7, docs/decisions/surface-cut.md).
   double cut_voxel_size = 0;    ///< [unit of the results]; 0: the live map's
   double cut_decay = 15;        ///< mu: a face costs exp(-mu * sum of votes) (thesis 6.30)

@@ -77,6 +77,8 @@ class MeshSink {
  public:
   virtual ~MeshSink() = default;
   virtual void on_block(const MeshBlock& block) = 0;
+  /// Every block of that version was given: together the newest ones are the surface of one moment.
+  virtual void on_complete(std::uint64_t /*version*/) {}
 };
 
 }  // namespace corvid

@@ -11,6 +11,7 @@
 #include "corvid/options.h"
 #include "corvid/ports.h"
 #include "corvid/pose.h"
+#include "corvid/stored_depth.h"
 
 namespace corvid {
 
@@ -32,7 +33,7 @@ struct RunResult {
   std::vector<int> trajectory_segments;  ///< the map segment of each of its poses
   std::shared_ptr<const MapSnapshot> map;
   PlaceCounts places;
-  std::vector<DepthMap> depth_maps;
+  std::vector<StoredDepth> depth_maps;   ///< at the poses of the final map; load one at a time
   std::vector<MapPlacement> placements;  ///< one per map segment
   /// Set by place_on_earth(): trajectory, map, depth maps and mesh are in metres, east, north, up
   /// of this place. Otherwise they are in map units, in the frame of the first keyframe.

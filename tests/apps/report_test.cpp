@@ -192,8 +192,10 @@ TEST(Report, NumbersThatAreNotFiniteAreNotShown) {
   run.wall_s = std::numeric_limits<double>::infinity();
   run.events[20].latency_ms = nan;
   run.events[21].mse_px2 = nan;
-  run.depth_maps[0].depth(5, 5) = std::numeric_limits<float>::infinity();
-  run.depth_maps[0].confidence(6, 6) = std::numeric_limits<float>::quiet_NaN();
+  DepthMap depth = run.depth_maps[0].load();
+  depth.depth(5, 5) = std::numeric_limits<float>::infinity();
+  depth.confidence(6, 6) = std::numeric_limits<float>::quiet_NaN();
+  run.depth_maps[0] = StoredDepth(depth);
   run.mesh.vertices[3].x() = std::numeric_limits<float>::quiet_NaN();
   const RunReportInput input = input_of(run, false);
   expect_sound(report_html(facts_of(input)));
@@ -208,9 +210,9 @@ TEST(Report, OneFrameAndOneLandmark) {
   run.map = map;
   run.events.resize(1);
   run.trajectory.resize(1);
-  run.depth_maps.resize(1);
-  run.depth_maps[0].depth = FloatImage(8, 6);  // no answer anywhere
-  run.depth_maps[0].confidence = FloatImage(8, 6);
+  DepthMap depth = run.depth_maps[0].load();
+  depth.depth = depth.confidence = FloatImage(8, 6);  // no answer anywhere
+  run.depth_maps.assign(1, StoredDepth(depth));
   run.mesh.triangles.resize(1);
   expect_sound(report_html(facts_of(input_of(run, true))));
 }

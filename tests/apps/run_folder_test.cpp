@@ -110,7 +110,7 @@ TEST(RunFolder, KeyframesAreTumRowsWithMoreBehind) {
 TEST(RunFolder, RawDepthIsAPortableFloatMap) {
   const TemporaryFolder folder;
   RunResult run = made_up_run();
-  run.depth_maps.resize(1);
+  run.depth_maps.erase(run.depth_maps.begin() + 1, run.depth_maps.end());
   ASSERT_TRUE(write_run_folder(input_of(run), folder / "run"));
   const std::string bytes =
       read_file_bytes(folder / "run" / "depth" / "keyframe_000000.pfm").value();
@@ -120,8 +120,8 @@ TEST(RunFolder, RawDepthIsAPortableFloatMap) {
   float bottom_left = -1, centre = -1;
   std::memcpy(&bottom_left, bytes.data() + header.size(), 4);
   std::memcpy(&centre, bytes.data() + header.size() + 4 * ((239 - 120) * 320 + 161), 4);
-  EXPECT_EQ(bottom_left, run.depth_maps[0].depth(0, 239));
-  EXPECT_EQ(centre, run.depth_maps[0].depth(161, 120));
+  EXPECT_EQ(bottom_left, run.depth_maps[0].load().depth(0, 239));
+  EXPECT_EQ(centre, run.depth_maps[0].load().depth(161, 120));
 }
 
 TEST(RunFolder, TheCutSurfaceHasFilesOfItsOwn) {

@@ -112,7 +112,7 @@ RunResult two_segments() {
   depth.keyframe = KeyframeId(1);
   depth.depth = FloatImage(2, 2);
   depth.depth(1, 1) = 4;
-  result.depth_maps.push_back(depth);
+  result.depth_maps.emplace_back(depth);
   result.mesh.vertices.emplace_back(0.0F, 0.0F, 1.0F);
   result.mesh.normals.emplace_back(0.0F, 0.0F, 1.0F);
   result.mesh.triangles.push_back({0, 0, 0});
@@ -139,7 +139,7 @@ TEST(PlaceOnEarth, MovesEverythingOnce) {
     const Landmark& landmark = *result.map->find(LandmarkId(static_cast<std::uint32_t>(i)));
     EXPECT_LT((landmark.p_world - T * Eigen::Vector3d(double(i), 1, 0)).norm(), 1e-12);
   }
-  EXPECT_FLOAT_EQ(result.depth_maps[0].depth(1, 1), 8);
+  EXPECT_FLOAT_EQ(result.depth_maps[0].load().depth(1, 1), 8);
   EXPECT_LT((result.mesh.vertices[0] - Eigen::Vector3f(10, 0, 2)).norm(), 1e-5F);
   EXPECT_LT((result.mesh.normals[0] - Eigen::Vector3f(0, 0, 1)).norm(), 1e-5F);
   EXPECT_EQ(result.voxel_size, 1);

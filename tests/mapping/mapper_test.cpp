@@ -8,6 +8,8 @@
 #include <map>
 
 #include "mapping/mesh_checks.h"
+#include "mapping/voxel_block.h"
+#include "scenes/memory_archive.h"
 #include "scenes/true_map.h"
 
 namespace corvid {
@@ -21,11 +23,12 @@ std::shared_ptr<Device> device() {
   return *opened;
 }
 
-std::unique_ptr<Mapper> make_mapper(MeshSink* sink = nullptr, int max_blocks = 60000) {
+std::unique_ptr<Mapper> make_mapper(MeshSink* sink = nullptr, int memory_mb = 256,
+                                    std::shared_ptr<Archive> archive = nullptr) {
   MappingOptions options;
   options.depth_scale = 1;
-  options.max_blocks = max_blocks;
-  auto mapper = Mapper::create(device(), options, sink);
+  options.memory_mb = memory_mb;
+  auto mapper = Mapper::create(device(), options, sink, std::move(archive));
   if (!mapper) throw std::runtime_error(mapper.error().to_string());
   return std::move(*mapper);
 }
@@ -121,7 +124,8 @@ TEST(Mapper, DepthAndSurfaceOfAKnownRoom) {
   EXPECT_EQ(statistics.depth_maps, 7U);
   EXPECT_GT(statistics.answered, 0.6);
   int answers = 0, within_2_percent = 0;
-  for (const auto& map : mapper->depth_maps()) {
+  for (const StoredDepth& stored : mapper->depth_maps()) {
+    const auto map = stored.scaled();
     const FloatImage truth = room().depth(map->camera, map->T_world_camera);
     for (std::size_t i = 0; i < truth.size(); ++i) {
       if (!(map->depth.data()[i] > 0)) continue;
@@ -147,7 +151,7 @@ TEST(Mapper, AKeyframeWaitsForItsLaterNeighbours) {
   EXPECT_FALSE(mapper->step(first_keyframes(room_map(), 3)));
   EXPECT_EQ(mapper->depth_maps().size(), 1U);
   EXPECT_TRUE(mapper->step(first_keyframes(room_map(), 4)));
-  EXPECT_EQ(mapper->depth_maps().back()->keyframe, KeyframeId(1));
+  EXPECT_EQ(mapper->depth_maps().back().keyframe, KeyframeId(1));
   mapper->finish(first_keyframes(room_map(), 4));
   EXPECT_EQ(mapper->depth_maps().size(), 4U);
 }
@@ -225,11 +229,92 @@ TEST(Mapper, KeyframesThatLeaveTheMapTakeTheirSurfaceAlong) {
   EXPECT_TRUE(mapper->mesh().empty());
 }
 
-TEST(Mapper, TheBudgetHolds) {
-  auto mapper = make_mapper(nullptr, 150);
+/// Share of the mesh farther than two voxels from the room: the second surface of an overlap whose
+/// two passes do not agree.
+double astray(const TriangleMesh& mesh, double voxel_size) {
+  std::size_t far = 0;
+  for (const auto& v : mesh.vertices) far += distance_to_room(v.cast<double>()) > 2 * voxel_size;
+  return static_cast<double>(far) / static_cast<double>(mesh.vertices.size());
+}
+
+/// Two passes over one place: keyframes and landmarks of both, those of `second` in `segment`.
+MapSnapshot both_passes(const MapSnapshot& first, const MapSnapshot& second, int segment) {
+  constexpr std::uint32_t kNew = 100000;  // ids of the second pass begin here
+  MapSnapshot out = first;
+  std::vector<Landmark> landmarks(first.landmarks.begin(), first.landmarks.end());
+  for (Landmark landmark : second.landmarks) {
+    landmark.id = LandmarkId(landmark.id.value + kNew);
+    landmarks.push_back(landmark);
+  }
+  out.landmarks = Landmarks(std::move(landmarks));
+  for (const auto& keyframe : second.keyframes) {
+    auto copy = std::make_shared<Keyframe>(*keyframe);
+    copy->id = KeyframeId(copy->id.value + kNew);
+    copy->segment = segment;
+    for (Observation& o : copy->observations) o.landmark = LandmarkId(o.landmark.value + kNew);
+    out.keyframes.push_back(copy);
+  }
+  return out;
+}
+
+TEST(Mapper, AfterALoopClosureTheOverlapHasOneSurface) {
+  // The room seen twice: the second time from poses that have drifted, in the first segment or in
+  // one of its own. Then the loop closes.
+  const Pose drift(so3_exp({0.01, 0.05, -0.02}), Eigen::Vector3d(0.1, -0.05, 0.45));
+  const auto one_pass = make_mapper();
+  one_pass->finish(room_map());
+  const double astray_once = astray(one_pass->mesh(), one_pass->voxel_size());
+  for (const int second_segment : {0, 1}) {
+    Viewer viewer;
+    const auto mapper = make_mapper(&viewer);
+    mapper->finish(both_passes(room_map(), moved(room_map(), drift), second_segment));
+    const MapperStatistics before = mapper->statistics();
+    const double astray_before = astray(mapper->mesh(), mapper->voxel_size());
+    if (second_segment == 0) {
+      EXPECT_GT(astray_before, astray_once + 0.2) << "there must be a second surface to remove";
+    } else {
+      EXPECT_NEAR(astray_before, astray_once, 0.01) << "segments have no common frame";
+    }
+    mapper->finish(both_passes(room_map(), room_map(), 0));
+    EXPECT_EQ(mapper->statistics().depth_maps, before.depth_maps) << "no depth is estimated twice";
+    EXPECT_NEAR(astray(mapper->mesh(), mapper->voxel_size()), astray_once, 0.01);
+    EXPECT_LT(median_error_vox(mapper->mesh(), mapper->voxel_size()), 0.5);
+    EXPECT_EQ(viewer.triangles(), mapper->mesh().triangles.size());
+  }
+}
+
+TEST(Mapper, ASpentBudgetChangesNothingButWhereThingsLie) {
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  const Pose T_new_old(so3_exp({0.02, 0.2, -0.1}), Eigen::Vector3d(0.7, -0.3, 0.4));
+  std::unique_ptr<Mapper> mappers[] = {make_mapper(), make_mapper(nullptr, 1, archive)};
+  for (const auto& mapper : mappers) {
+    mapper->finish(room_map());
+    mapper->finish(moved(room_map(), T_new_old));
+    EXPECT_EQ(mapper->statistics().refusions, 7U);
+    EXPECT_EQ(mapper->statistics().lost_blocks, 0U);
+  }
+  const auto statistics = mappers[1]->statistics();
+  EXPECT_LT(statistics.blocks_in_memory, statistics.blocks / 2);
+  const auto maps = mappers[1]->depth_maps(), expected = mappers[0]->depth_maps();
+  ASSERT_EQ(maps.size(), expected.size());
+  std::size_t in_memory = 0;
+  for (std::size_t i = 0; i < maps.size(); ++i) {
+    in_memory += maps[i].in_memory();
+    EXPECT_EQ(maps[i].load().depth, expected[i].load().depth);
+    EXPECT_EQ(maps[i].load().confidence, expected[i].load().confidence);
+  }
+  EXPECT_LT(in_memory, 3U);
+  const TriangleMesh mesh = mappers[1]->mesh(), same = mappers[0]->mesh();
+  EXPECT_EQ(mesh.vertices, same.vertices);
+  EXPECT_EQ(mesh.triangles, same.triangles);
+  EXPECT_EQ(mesh.colours, same.colours);
+}
+
+TEST(Mapper, WithoutAnArchiveTheBudgetHolds) {
+  auto mapper = make_mapper(nullptr, 1);
   mapper->finish(room_map());
-  EXPECT_LE(mapper->statistics().blocks, 150U);
-  EXPECT_GT(mapper->statistics().dropped_blocks, 0U);
+  EXPECT_LE(mapper->statistics().blocks * sizeof(VoxelBlock), 1U << 20);
+  EXPECT_GT(mapper->statistics().lost_blocks, 0U);
 }
 
 TEST(Mapper, ResultsRepeatBitForBit) {
@@ -258,7 +343,7 @@ TEST(Mapper, LensesAreUndistorted) {
   auto mapper = make_mapper();
   mapper->finish(testing::true_map(room(), lens, poses));
   ASSERT_EQ(mapper->depth_maps().size(), 5U);
-  EXPECT_EQ(mapper->depth_maps()[0]->camera.model, CameraModel::pinhole);
+  EXPECT_EQ(mapper->depth_maps()[0].scaled()->camera.model, CameraModel::pinhole);
   EXPECT_LT(median_error_vox(mapper->mesh(), mapper->voxel_size()), 0.5);
 }
 
@@ -272,6 +357,9 @@ TEST(Mapper, BadViewsGiveNoDepthAndNoFault) {
   const Pose here;
   EXPECT_EQ(surface_of(testing::true_map(room(), camera, {here, here, here, here})), 0U)
       << "identical views";
+  const Pose away(so3_exp({0, M_PI, 0}), Eigen::Vector3d(0.2, 0, 0));
+  EXPECT_EQ(surface_of(testing::true_map(room(), camera, {here, away, here})), 0U)
+      << "the only view from elsewhere looks away";
   PlaneScene blank = room();
   blank.contrast = 0;
   std::vector<Pose> poses;
@@ -295,6 +383,20 @@ TEST(Mapper, BadViewsGiveNoDepthAndNoFault) {
     keyframe = copy;
   }
   EXPECT_EQ(surface_of(odd), 0U);
+}
+
+TEST(Mapper, VoxelsOfAWrongScaleGiveNoSurface) {
+  for (const double scale : {1e-3, 1e3}) {
+    MappingOptions options;
+    options.voxel_size = 0.05 * scale;
+    auto mapper = Mapper::create(device(), options, nullptr);
+    ASSERT_TRUE(mapper);
+    (*mapper)->finish(first_keyframes(room_map(), 3));
+    const MapperStatistics statistics = (*mapper)->statistics();
+    EXPECT_GT(statistics.depth_maps, 0U);
+    EXPECT_LT(statistics.blocks, 10U);
+    EXPECT_TRUE((*mapper)->mesh().empty());
+  }
 }
 
 TEST(Mapper, WrongOptionsAreRefused) {

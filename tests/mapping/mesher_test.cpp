@@ -29,11 +29,11 @@ void fill(VoxelBlocks& volume, int blocks,
               volume.voxel_size() *
               Eigen::Vector3d(8 * x + (i & 7), 8 * y + (i >> 3 & 7), 8 * z + (i >> 6));
           const double d = std::clamp(distance(p) / volume.truncation(), -1.0, 1.0);
-          block.voxels[static_cast<std::size_t>(i)] = {
-              static_cast<std::int32_t>(std::lround(255 * d * Voxel::kDistanceSteps)),
-              255,
-              255,
-              {255 * 200, 255 * 100, 255 * 50}};
+          Voxel& voxel = block.voxels[static_cast<std::size_t>(i)];
+          voxel.sum_distance = std::lround(255 * d * Voxel::kDistanceSteps);
+          voxel.sum_weight = 255;
+          voxel.sum_colour_weight = 15;
+          voxel.sum_red = 15 * 200, voxel.sum_green = 15 * 100, voxel.sum_blue = 15 * 50;
         }
       }
     }
@@ -57,7 +57,7 @@ TEST(MarchingCubes, EveryCaseCoversExactlyTheEdgesThatCross) {
 }
 
 TEST(Mesher, SphereIsClosedManifoldOfTheRightRadiusAndLooksOutward) {
-  VoxelBlocks volume(kVoxel, 1000);
+  VoxelBlocks volume(kVoxel);
   const double radius = 0.61;
   const Eigen::Vector3d centre(0.013, -0.021, 0.008);
   fill(volume, 3, [&](const Eigen::Vector3d& p) { return (p - centre).norm() - radius; });
@@ -75,7 +75,7 @@ TEST(Mesher, SphereIsClosedManifoldOfTheRightRadiusAndLooksOutward) {
 
 TEST(Mesher, NoiseOfEveryAmbiguityIsClosedAndManifoldAlongEdges) {
   // Random signs meet every one of the 256 cases and every ambiguous face.
-  VoxelBlocks volume(kVoxel, 1000);
+  VoxelBlocks volume(kVoxel);
   std::mt19937 random(7);
   std::uniform_real_distribution<double> noise(-1, 1);
   fill(volume, 2, [&](const Eigen::Vector3d& p) {
@@ -90,8 +90,8 @@ TEST(Mesher, NoiseOfEveryAmbiguityIsClosedAndManifoldAlongEdges) {
 }
 
 TEST(Mesher, BlocksShareTheirBorderVerticesBitForBit) {
-  VoxelBlocks volume(kVoxel, 1000);
-  fill(volume, 2, [](const Eigen::Vector3d& p) { return p.norm() - 0.5; });
+  VoxelBlocks volume(kVoxel);
+  fill(volume, 3, [](const Eigen::Vector3d& p) { return p.norm() - 0.9; });
   const TriangleMesh whole = mesh_all(volume);
   using Key = std::array<float, 3>;
   const auto key = [](const Eigen::Vector3f& v) { return Key{v.x(), v.y(), v.z()}; };
@@ -99,7 +99,7 @@ TEST(Mesher, BlocksShareTheirBorderVerticesBitForBit) {
   for (const auto& v : whole.vertices) welded.insert(key(v));
   EXPECT_EQ(welded.size(), whole.vertices.size());
   std::size_t sum_vertices = 0, sum_triangles = 0;
-  for (const BlockIndex& b : volume.indices()) {
+  for (const BlockIndex& b : blocks_to_remesh(volume.indices())) {
     const TriangleMesh part = mesh_block(volume, b);
     sum_vertices += part.vertices.size();
     sum_triangles += part.triangles.size();
@@ -111,9 +111,10 @@ TEST(Mesher, BlocksShareTheirBorderVerticesBitForBit) {
 }
 
 TEST(Mesher, UnobservedVoxelsLeaveTheSurfaceOpen) {
-  VoxelBlocks volume(kVoxel, 1000);
-  fill(volume, 2, [](const Eigen::Vector3d& p) { return p.norm() - 0.5; });
-  for (Voxel& v : volume.touch({1, 0, 0}).voxels) v.sum_weight = 1;
+  VoxelBlocks volume(kVoxel);
+  fill(volume, 4, [](const Eigen::Vector3d& p) { return p.norm() - 1.2; });
+  for (int i = 0; i < 8; ++i)
+    for (Voxel& v : volume.touch({2 + i % 2, i / 2 % 2, i / 4}).voxels) v.sum_weight = 1;
   const testing::Topology t = topology(mesh_all(volume));
   EXPECT_GT(t.open_edges, 0);
   EXPECT_EQ(t.crowded_edges, 0);
@@ -123,11 +124,12 @@ TEST(Mesher, UnobservedVoxelsLeaveTheSurfaceOpen) {
 
 TEST(Mesher, FarFromTheOriginNoFaceIsDegenerate) {
   // 1e5 voxels away, float coordinates hold a voxel to about 1/128 only.
-  VoxelBlocks volume(1e-3, 10);
+  VoxelBlocks volume(1e-3);
   VoxelBlock& block = volume.touch({12500, 12500, 12500});
   for (int i = 0; i < VoxelBlock::kVoxels; ++i) {
-    block.voxels[static_cast<std::size_t>(i)] = {
-        static_cast<std::int32_t>(((i & 7) + (i >> 3 & 7) - 7) * 1000), 255, 0, {}};
+    Voxel& voxel = block.voxels[static_cast<std::size_t>(i)];
+    voxel.sum_distance = ((i & 7) + (i >> 3 & 7) - 7) * 1000;
+    voxel.sum_weight = 255;
   }
   const TriangleMesh mesh = mesh_all(volume);
   ASSERT_FALSE(mesh.empty());
@@ -141,7 +143,10 @@ TEST(Mesher, FarFromTheOriginNoFaceIsDegenerate) {
 
 TEST(Mesher, ChangedBlocksTakeTheirNeighboursAlong) {
   const auto blocks = blocks_to_remesh({{0, 0, 0}, {1, 0, 0}});
-  EXPECT_EQ(blocks.size(), 36U);
+  // Voxel blocks -1 to 2, -1 to 1 and -1 to 1: mesh blocks -1 to 1, -1 to 0 and -1 to 0.
+  EXPECT_EQ(blocks.size(), 12U);
+  EXPECT_EQ(blocks.front(), (BlockIndex{-1, -1, -1}));
+  EXPECT_EQ(blocks.back(), (BlockIndex{1, 0, 0}));
   EXPECT_TRUE(std::is_sorted(blocks.begin(), blocks.end()));
 }
 

@@ -7,11 +7,12 @@
 
 #include "mapping/mesh_checks.h"
 #include "mapping/mesher.h"
+#include "scenes/memory_archive.h"
 
 namespace corvid {
 namespace {
 
-constexpr double kVoxel = 0.04;
+constexpr double kVoxel = 0.04, kFine = 0.02;
 constexpr double kRadius = 0.8;
 
 Camera small_camera() {
@@ -67,10 +68,10 @@ ColourImage plain(const DepthMap& map, Rgb8 colour) {
 }
 
 TEST(VoxelBlocks, SphereSeenFromAllSidesIsClosedAndOfTheRightRadius) {
-  VoxelBlocks volume(kVoxel, 10000);
+  VoxelBlocks volume(kVoxel);
   for (const Pose& T : poses_all_round()) {
     const DepthMap map = sphere_view(T);
-    (void)volume.fuse(map, plain(map, {10, 200, 30}), T, T.translation());
+    (void)volume.fuse(map, plain(map, {10, 200, 30}), T);
   }
   const TriangleMesh mesh = mesh_all(volume);
   ASSERT_GT(mesh.triangles.size(), 1000U);
@@ -89,7 +90,7 @@ TEST(VoxelBlocks, SphereSeenFromAllSidesIsClosedAndOfTheRightRadius) {
 }
 
 TEST(VoxelBlocks, UnfuseIsTheInverseOfFuseInAnyOrder) {
-  VoxelBlocks volume(kVoxel, 10000);
+  VoxelBlocks volume(kVoxel);
   const std::vector<Pose> poses = poses_all_round();
   std::vector<DepthMap> maps;
   std::vector<FusedView> views;
@@ -98,12 +99,12 @@ TEST(VoxelBlocks, UnfuseIsTheInverseOfFuseInAnyOrder) {
     return plain(maps[i], {static_cast<std::uint8_t>(30 * i), 77, 5});
   };
   for (std::size_t i = 0; i < 4; ++i) {
-    views.push_back(volume.fuse(maps[i], colour(i), poses[5 * i], Eigen::Vector3d::Zero()));
+    views.push_back(volume.fuse(maps[i], colour(i), poses[5 * i]));
   }
   std::vector<std::pair<BlockIndex, VoxelBlock>> before;
   for (const BlockIndex& b : volume.indices()) before.emplace_back(b, *volume.find(b));
   for (std::size_t i = 4; i < 8; ++i) {
-    views.push_back(volume.fuse(maps[i], colour(i), poses[5 * i], Eigen::Vector3d::Zero()));
+    views.push_back(volume.fuse(maps[i], colour(i), poses[5 * i]));
   }
   for (const std::size_t i : {5U, 4U, 7U, 6U}) volume.unfuse(views[i], maps[i], colour(i));
   ASSERT_EQ(volume.size(), before.size());
@@ -123,11 +124,11 @@ TEST(VoxelBlocks, AnotherDepthMapDoesNotUnfuse) {
   DepthMap other = map;
   other.depth(80, 60) *= 1.01F;
   for (const bool same : {true, false}) {
-    VoxelBlocks volume(kVoxel, 10000);
-    (void)volume.fuse(map, {}, T, T.translation());
-    const FusedView view = volume.fuse(map, {}, T, T.translation());
-    VoxelBlocks once(kVoxel, 10000);
-    (void)once.fuse(map, {}, T, T.translation());
+    VoxelBlocks volume(kVoxel);
+    (void)volume.fuse(map, {}, T);
+    const FusedView view = volume.fuse(map, {}, T);
+    VoxelBlocks once(kVoxel);
+    (void)once.fuse(map, {}, T);
     volume.unfuse(view, same ? map : other, {});
     int differing = 0;
     for (const BlockIndex& b : once.indices()) {
@@ -138,10 +139,10 @@ TEST(VoxelBlocks, AnotherDepthMapDoesNotUnfuse) {
 }
 
 TEST(VoxelBlocks, AViewThatSeesThroughASurfaceCarvesIt) {
-  VoxelBlocks volume(kVoxel, 10000);
+  VoxelBlocks volume(kVoxel);
   const Pose T = poses_all_round()[0];
   const DepthMap wrong = sphere_view(T, 1.2), right = sphere_view(T, 0.8);
-  (void)volume.fuse(wrong, {}, T, T.translation());
+  (void)volume.fuse(wrong, {}, T);
   // Round the line of sight, where the smaller sphere hides the larger one's front.
   const auto front_of_wrong_sphere = [&] {
     const TriangleMesh mesh = mesh_all(volume);
@@ -151,16 +152,16 @@ TEST(VoxelBlocks, AViewThatSeesThroughASurfaceCarvesIt) {
     });
   };
   ASSERT_GT(front_of_wrong_sphere(), 100);
-  for (int i = 0; i < 4; ++i) (void)volume.fuse(right, {}, T, T.translation());
+  for (int i = 0; i < 4; ++i) (void)volume.fuse(right, {}, T);
   EXPECT_EQ(front_of_wrong_sphere(), 0);
 }
 
 TEST(VoxelBlocks, BlocksThatOnlyFreeSpaceIsKnownOfAreNotKept) {
-  VoxelBlocks volume(kVoxel, 10000);
+  VoxelBlocks volume(kVoxel);
   const Pose T = poses_all_round()[0];
   const DepthMap near = sphere_view(T, 1.2), far = sphere_view(T, 0.8);
-  const FusedView first = volume.fuse(near, {}, T, T.translation());
-  const FusedView second = volume.fuse(far, {}, T, T.translation());
+  const FusedView first = volume.fuse(near, {}, T);
+  const FusedView second = volume.fuse(far, {}, T);
   const std::size_t both = volume.size();
   volume.unfuse(first, near, {});
   EXPECT_LT(volume.size(), both);
@@ -169,46 +170,134 @@ TEST(VoxelBlocks, BlocksThatOnlyFreeSpaceIsKnownOfAreNotKept) {
   EXPECT_EQ(volume.size(), 0U);
 }
 
-TEST(VoxelBlocks, BudgetHoldsAndTheFarthestGoFirst) {
-  VoxelBlocks unbounded(kVoxel, 100000), volume(kVoxel, 60);
-  const Pose T = poses_all_round()[7], T2 = poses_all_round()[30];
-  const DepthMap map = sphere_view(T), map2 = sphere_view(T2);
-  (void)unbounded.fuse(map, {}, T, T.translation());
-  ASSERT_GT(unbounded.size(), 60U);
-  const FusedView view = volume.fuse(map, {}, T, T.translation());
-  EXPECT_LE(volume.size(), 60U);
-  EXPECT_GT(volume.dropped_blocks(), 0U);
-  const auto distance = [&](const BlockIndex& b) {
-    return ((Eigen::Vector3d(b.x, b.y, b.z) + Eigen::Vector3d::Constant(0.5)) * 8 * kVoxel -
-            T2.translation())
-        .norm();
-  };
-  (void)volume.take_changed();
-  const std::vector<BlockIndex> before = volume.indices();
-  const FusedView view2 = volume.fuse(map2, {}, T2, T2.translation());
-  EXPECT_LE(volume.size(), 60U);
-  const std::vector<BlockIndex> changed = volume.take_changed();
-  double farthest_kept = 0, nearest_gone = 1e9;
-  for (const BlockIndex& b : volume.indices()) farthest_kept = std::max(farthest_kept, distance(b));
-  for (const BlockIndex& b : before) {
-    if (volume.find(b)) continue;
-    nearest_gone = std::min(nearest_gone, distance(b));
-    EXPECT_TRUE(std::binary_search(changed.begin(), changed.end(), b));
+/// The budget of the fewest blocks that a store takes.
+constexpr VoxelBudget kSmall{0, 1UL << 30};
+
+/// The same views into a volume with and one without a budget: what differs.
+int differing_blocks(const VoxelBlocks& volume, const VoxelBlocks& other) {
+  int differing = std::abs(static_cast<int>(volume.size()) - static_cast<int>(other.size()));
+  for (const BlockIndex& b : other.indices()) {
+    const VoxelBlock* block = volume.find(b);
+    differing += block == nullptr || block->voxels != other.find(b)->voxels;
   }
-  EXPECT_LE(farthest_kept, nearest_gone + 1e-9);
-  // What was dropped is simply not there to be taken out.
-  volume.unfuse(view, map, {});
-  volume.unfuse(view2, map2, {});
+  return differing;
+}
+
+TEST(VoxelBlocks, ASpentBudgetChangesNothing) {
+  VoxelBlocks unbounded(kFine), volume(kFine, kSmall, std::make_shared<testing::MemoryArchive>());
+  std::vector<FusedView> views;
+  std::vector<DepthMap> maps;
+  for (std::size_t i = 0; i < 8; ++i) {
+    const Pose T = poses_all_round()[5 * i];
+    maps.push_back(sphere_view(T));
+    (void)unbounded.fuse(maps[i], plain(maps[i], {1, 2, 3}), T);
+    views.push_back(volume.fuse(maps[i], plain(maps[i], {1, 2, 3}), T));
+    EXPECT_LE(volume.in_memory(), BlockStore::kMinBlocks);
+    EXPECT_EQ(volume.take_changed(), unbounded.take_changed());
+  }
+  ASSERT_GT(volume.size(), 3 * BlockStore::kMinBlocks);
+  EXPECT_EQ(volume.lost_blocks(), 0U);
+  EXPECT_EQ(differing_blocks(volume, unbounded), 0);
+  const TriangleMesh mesh = mesh_all(volume), expected = mesh_all(unbounded);
+  EXPECT_EQ(mesh.vertices, expected.vertices);
+  EXPECT_EQ(mesh.triangles, expected.triangles);
+  for (std::size_t i = 0; i < 8; ++i) volume.unfuse(views[i], maps[i], plain(maps[i], {1, 2, 3}));
   EXPECT_EQ(volume.size(), 0U);
 }
 
+TEST(VoxelBlocks, WithoutRoomInTheArchiveTheLongestUnusedAreLost) {
+  const Pose T = poses_all_round()[7], T2 = poses_all_round()[30];
+  const DepthMap map = sphere_view(T), map2 = sphere_view(T2);
+  const auto full = std::make_shared<testing::MemoryArchive>();
+  full->full = true;
+  const auto small = std::make_shared<testing::MemoryArchive>();
+  VoxelBlocks volumes[] = {VoxelBlocks(kFine, kSmall), VoxelBlocks(kFine, kSmall, full),
+                           VoxelBlocks(kFine, {0, 10 * sizeof(VoxelBlock)}, small)};
+  for (VoxelBlocks& volume : volumes) {
+    const FusedView view = volume.fuse(map, {}, T);
+    const std::size_t room = BlockStore::kMinBlocks + (&volume == &volumes[2] ? 10 : 0);
+    EXPECT_LE(volume.size(), room);
+    EXPECT_GT(volume.lost_blocks(), 0U);
+    (void)volume.take_changed();
+    const std::vector<BlockIndex> before = volume.indices();
+    const FusedView view2 = volume.fuse(map2, {}, T2);
+    EXPECT_LE(volume.size(), room);
+    const std::vector<BlockIndex> changed = volume.take_changed();
+    for (const BlockIndex& b : before) {
+      if (!volume.find(b)) {
+        EXPECT_TRUE(std::binary_search(changed.begin(), changed.end(), b));
+      }
+    }
+    // What was lost is simply not there to be taken out.
+    volume.unfuse(view, map, {});
+    volume.unfuse(view2, map2, {});
+    EXPECT_EQ(volume.size(), 0U);
+  }
+  EXPECT_EQ(small->kept.size(), 0U) << "every slot is given back";
+}
+
+TEST(VoxelBlocks, WhatCannotBeReadBackIsLostNotAFault) {
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  VoxelBlocks volume(kFine, kSmall, archive);
+  const Pose T = poses_all_round()[7];
+  const FusedView view = volume.fuse(sphere_view(T), {}, T);
+  const std::size_t blocks = volume.size();
+  archive->broken = true;
+  for (const BlockIndex& b : volume.indices()) (void)volume.find(b);
+  EXPECT_EQ(volume.size() + volume.lost_blocks(), blocks);
+  EXPECT_GT(volume.lost_blocks(), 0U);
+  volume.unfuse(view, sphere_view(T), {});
+  EXPECT_EQ(volume.size(), 0U);
+}
+
+TEST(VoxelBlocks, ABlockTakesInSoManyViewsAndGivesThemBack) {
+  // The voxels' sums hold kMaxViews observations of full weight; what comes after is left out.
+  VoxelBlocks volume(0.4);
+  const Pose T = poses_all_round()[3];
+  DepthMap map = sphere_view(T);
+  std::fill(map.confidence.data(), map.confidence.data() + map.confidence.size(), 1.0F);
+  const ColourImage white = plain(map, {255, 255, 255});
+  std::vector<FusedView> views;
+  for (int i = 0; i < VoxelBlock::kMaxViews + 3; ++i) views.push_back(volume.fuse(map, white, T));
+  EXPECT_FALSE(views[VoxelBlock::kMaxViews - 1].blocks.empty());
+  EXPECT_TRUE(views.back().blocks.empty());
+  VoxelBlocks once(0.4);
+  (void)once.fuse(map, white, T);
+  for (const BlockIndex& b : once.indices()) {
+    for (int i = 0; i < VoxelBlock::kVoxels; ++i) {
+      const auto at = static_cast<std::size_t>(i);
+      const Voxel one = once.find(b)->voxels[at], all = volume.find(b)->voxels[at];
+      ASSERT_EQ(one.sum_weight * VoxelBlock::kMaxViews, all.sum_weight);
+      ASSERT_EQ(one.sum_distance * VoxelBlock::kMaxViews, all.sum_distance);
+      ASSERT_EQ(one.sum_blue * VoxelBlock::kMaxViews, all.sum_blue);
+    }
+  }
+  for (const FusedView& view : views) volume.unfuse(view, map, white);
+  EXPECT_EQ(volume.size(), 0U);
+}
+
+TEST(VoxelBlocks, AMapLargerThanMemoryAndArchiveStaysWithinThem) {
+  // Voxels that are far too small: nearly every ray needs blocks of its own.
+  constexpr VoxelBudget kBudget{1U << 20, 2U << 20};
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  VoxelBlocks volume(kVoxel / 20, kBudget, archive);
+  const Pose T = poses_all_round()[5];
+  const FusedView view = volume.fuse(sphere_view(T), {}, T);
+  EXPECT_LE(volume.size() * sizeof(VoxelBlock), kBudget.memory_bytes + kBudget.archive_bytes);
+  EXPECT_LE(archive->kept.size() * sizeof(VoxelBlock), kBudget.archive_bytes);
+  EXPECT_GT(volume.lost_blocks(), 100U);
+  volume.unfuse(view, sphere_view(T), {});
+  EXPECT_EQ(volume.size(), 0U);
+  EXPECT_TRUE(mesh_all(volume).empty()) << "an empty volume has an empty surface";
+}
+
 TEST(VoxelBlocks, AFarCameraAndAnEmptyMapChangeNothing) {
-  VoxelBlocks volume(kVoxel, 1000);
+  VoxelBlocks volume(kVoxel);
   DepthMap map = sphere_view(poses_all_round()[0]);
   const Pose far(Eigen::Quaterniond::Identity(), Eigen::Vector3d(1e12, 0, 0));
-  EXPECT_TRUE(volume.fuse(map, {}, far, far.translation()).blocks.empty());
+  EXPECT_TRUE(volume.fuse(map, {}, far).blocks.empty());
   map.depth = map.confidence = FloatImage(160, 120);
-  EXPECT_TRUE(volume.fuse(map, {}, map.T_world_camera, {0, 0, 0}).blocks.empty());
+  EXPECT_TRUE(volume.fuse(map, {}, map.T_world_camera).blocks.empty());
   EXPECT_EQ(volume.size(), 0U);
   EXPECT_TRUE(volume.take_changed().empty());
 }

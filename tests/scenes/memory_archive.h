@@ -1,5 +1,7 @@
 #pragma once
 
+#include <map>
+#include <mutex>
 #include <vector>
 
 #include "corvid/archive.h"
@@ -10,20 +12,30 @@ namespace corvid::testing {
 class MemoryArchive : public Archive {
  public:
   Expected<Slot> put(std::span<const std::byte> bytes) override {
+    const std::lock_guard lock(mutex_);
     if (full) return fail(ErrorCode::io, "no room");
-    kept.emplace_back(bytes.begin(), bytes.end());
-    return Slot{kept.size() - 1, bytes.size()};
+    const Slot slot{next_++, bytes.size()};
+    kept[slot.offset].assign(bytes.begin(), bytes.end());
+    return slot;
   }
   Expected<std::vector<std::byte>> get(const Slot& slot) const override {
+    const std::lock_guard lock(mutex_);
     ++reads;
     if (broken) return fail(ErrorCode::io, "cannot be read");
     return kept.at(slot.offset);
   }
-  void drop(const Slot& slot) override { kept.at(slot.offset).clear(); }
+  void drop(const Slot& slot) override {
+    const std::lock_guard lock(mutex_);
+    kept.erase(slot.offset);
+  }
 
-  std::vector<std::vector<std::byte>> kept;
-  mutable int reads = 0;
   bool full = false, broken = false;
+  mutable int reads = 0;
+  std::map<std::uint64_t, std::vector<std::byte>> kept;
+
+ private:
+  mutable std::mutex mutex_;
+  std::uint64_t next_ = 0;
 };
 
 }  // namespace corvid::testing

@@ -120,7 +120,7 @@ inline RunResult made_up_run(int frames = 120) {
               std::clamp(120 + 60 * std::sin(9 * n.x()) * std::sin(9 * n.y()), 0.0, 255.0));
         }
       }
-      run.depth_maps.push_back(depth);
+      run.depth_maps.emplace_back(depth);
       auto keyframe = std::make_shared<Keyframe>();
       keyframe->id = depth.keyframe;
       keyframe->segment = e.segment;
