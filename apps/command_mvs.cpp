@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "apps/command_list.h"
+#include "apps/mapping_scenes.h"
 #include "apps/mvs_report.h"
 #include "apps/opencl_trouble.h"
 #include "apps/program_source.h"
@@ -21,6 +22,7 @@
 #include "io/atomic_file.h"
 #include "io/image_encode.h"
 #include "io/mesh_files.h"
+#include "mapping/still_cut.h"
 #include "mapping/still_depth.h"
 
 namespace corvid {
@@ -36,6 +38,9 @@ struct Arguments {
   int neighbours = 4;
   std::optional<int> scale;
   std::optional<double> near, far;
+  bool no_surface = false, open = false;
+  double voxel_size = 0;
+  int max_mb = 2000;
 };
 
 /// The frames that have a true pose, of the first one's camera.
@@ -84,7 +89,27 @@ Expected<StillDepthOptions> depth_options(const Arguments& arguments, const Came
   return options;
 }
 
-/// The whole folder. What is made of the depth maps beyond points has its place here.
+/// The minimal surface through the depth maps, or why there is none.
+Expected<SurfaceCut> surface_of(const Arguments& arguments, const FrameSource& source,
+                                const std::vector<StillView>& views,
+                                const std::vector<StillDepth>& depths,
+                                const std::stop_token& stop) {
+  SurfaceCutOptions options;
+  options.box = middlebury_box(source.info().path);
+  options.voxel_size = arguments.voxel_size;
+  options.closed = !arguments.open;
+  options.coarsen = true;
+  options.max_bytes = static_cast<std::size_t>(arguments.max_mb) * 1000000;
+  auto cut = cut_stills(views, depths, options, {stop, [](std::string_view stage) {
+                                                   log().info("cutting the surface: {}", stage);
+                                                 }});
+  if (cut && options.voxel_size > 0 && cut->voxel_size > 1.001 * options.voxel_size) {
+    log().warn("the surface has voxels of {:.4g} instead of {:.4g}: --max-mb is {}",
+               cut->voxel_size, options.voxel_size, arguments.max_mb);
+  }
+  return cut;
+}
+
 Expected<void> write_folder(const MvsRun& run, const TriangleMesh& points, AtomicFolder& folder) {
   const auto put = [&](const fs::path& name, const std::string& bytes) {
     return write_file_atomically(folder.path() / name, bytes);
@@ -103,6 +128,10 @@ Expected<void> write_folder(const MvsRun& run, const TriangleMesh& points, Atomi
   }
   if (!points.vertices.empty()) {
     if (auto written = write_mesh(points, folder.path() / "points.ply"); !written) return written;
+  }
+  if (run.surface && !run.surface->mesh.empty()) {
+    auto written = write_mesh(run.surface->mesh, folder.path() / "surface.ply");
+    if (!written) return written;
   }
   if (auto written = put("report.html", mvs_html(run)); !written) return written;
   return put(kMarker, mvs_json(run));
@@ -132,13 +161,23 @@ Expected<ExitCode> run_mvs(const Arguments& arguments, Context& context) {
     return tl::unexpected(std::move(error));
   }
   const TriangleMesh points = agreed_points(*views, *depths);
-  const MvsRun run{arguments.source.spec,  (*device)->info().name, CORVID_VERSION, *views, *depths,
-                   points.vertices.size(), 1e-3 * watch.lap_ms()};
+  MvsRun run{arguments.source.spec,  (*device)->info().name, CORVID_VERSION, *views, *depths,
+             points.vertices.size(), 1e-3 * watch.lap_ms()};
   std::size_t maps = 0;
   for (const StillDepth& d : *depths) {
     maps += d.refusal.empty();
     if (!d.refusal.empty())
       log().warn("{}: {}", (*views)[d.map.keyframe.value].frame->name, d.refusal);
+  }
+  Expected<SurfaceCut> surface = SurfaceCut{};
+  if (!arguments.no_surface && maps > 0) {
+    surface = surface_of(arguments, **source, *views, *depths, signals.token());
+    if (surface) {
+      run.surface = &*surface;
+    } else {  // what there is so far is kept
+      run.no_surface = surface.error().to_string();
+      log().warn("no surface: {}", run.no_surface);
+    }
   }
   if (auto written = write_folder(run, points, *folder); !written)
     return tl::unexpected(written.error());
@@ -146,17 +185,25 @@ Expected<ExitCode> run_mvs(const Arguments& arguments, Context& context) {
   context.out << fmt::format(
       "{} depth maps of {} views, {} points that 3 views agree on, {:.1f} s: {}\n", maps,
       views->size(), run.points, run.seconds, (fs::path(arguments.out) / "report.html").string());
-  return maps > 0 ? ExitCode::ok : ExitCode::no_estimate;
+  if (!surface && surface.error().code == ErrorCode::interrupted)
+    return tl::unexpected(surface.error());
+  if (run.surface) {
+    context.out << fmt::format("surface: {} triangles, voxels of {:.4g}: {}\n",
+                               run.surface->mesh.triangles.size(), run.surface->voxel_size,
+                               (fs::path(arguments.out) / "surface.ply").string());
+  }
+  return maps > 0 && surface ? ExitCode::ok : ExitCode::no_estimate;
 }
 
 }  // namespace
 
 Action add_mvs_command(CLI::App& app) {
   auto a = std::make_shared<Arguments>();
-  CLI::App* command =
-      app.add_subcommand("mvs", "Depth maps and points of calibrated stills with known poses");
+  CLI::App* command = app.add_subcommand(
+      "mvs", "Depth maps, points and surface of calibrated stills with known poses");
   a->source.add_to(*command);
-  command->add_option("--out", a->out, "Folder for depth maps, points and report")->required();
+  command->add_option("--out", a->out, "Folder for depth maps, points, surface and report")
+      ->required();
   command->add_option("--device", a->device, "auto, cpu, gpu, or a number from `corvid doctor`")
       ->envname("CORVID_DEVICE")
       ->capture_default_str();
@@ -167,8 +214,21 @@ Action add_mvs_command(CLI::App& app) {
       ->check(CLI::Range(1, 16));
   command->add_option("--near", a->near, "Nearest depth, in the unit of the poses [looked for]");
   command->add_option("--far", a->far, "Farthest depth");
+  command->add_flag("--no-surface", a->no_surface, "Stop at depth maps and points");
+  command
+      ->add_option("--voxel", a->voxel_size,
+                   "Of the surface, in the unit of the poses [by the rays]")
+      ->check(CLI::PositiveNumber);
+  command
+      ->add_option("--max-mb", a->max_mb,
+                   "Memory for the surface; larger voxels if it would not do")
+      ->check(CLI::Range(16, 1000000))
+      ->capture_default_str();
+  command->add_flag("--open", a->open, "Leave out the parts of the surface that no point supports");
   command->footer(R"(
 Without --near and --far the depth is looked for around the point that the cameras look at.
+The surface is the minimal one by graph cut, closed unless --open is given; of a Middlebury set in
+the box that its README names, else around the points.
 
 Examples:
   corvid mvs templeRing/ --out temple

@@ -6,9 +6,11 @@
 #include <nlohmann/json.hpp>
 #include <vector>
 
+#include "apps/render_mesh.h"
 #include "apps/report_page.h"
 #include "apps/report_pictures.h"
 #include "apps/report_style.h"
+#include "mapping/cut_mesh.h"
 
 namespace corvid {
 namespace {
@@ -70,6 +72,42 @@ std::string pictures(const MvsRun& run) {
   return html;
 }
 
+std::string surface(const MvsRun& run) {
+  if (!run.surface) {
+    return html_nothing(run.no_surface.empty() ? "None was asked for." : run.no_surface);
+  }
+  const SurfaceCut& cut = *run.surface;
+  const SurfaceCutStatistics& s = cut.statistics;
+  if (cut.mesh.empty()) return html_nothing("No voxel is inside.");
+  const std::size_t unpaired = unpaired_sides(cut.mesh);
+  std::string html = html_table(
+      {{"what"}, {"value", true}},
+      {{{"triangles", {}}, {format_count(cut.mesh.triangles.size()), {}}},
+       {{"closed", {}},
+        {unpaired == 0 ? "yes" : fmt::format("no: {} sides without partner", unpaired), {}}},
+       {{"voxel [map units]", {}}, {format_number(cut.voxel_size), {}}},
+       {{"voxels of the volume", {}}, {format_count(s.voxels), {}}},
+       {{"near points", {}}, {format_count(s.crust_voxels), {}}},
+       {{"graph [s]", {}}, {fmt::format("{:.2f}", s.graph_s), {}}},
+       {{"maximum flow [s]", {}}, {fmt::format("{:.2f}", s.maxflow_s), {}}},
+       {{"peak memory of both", {}}, {format_bytes(static_cast<double>(s.peak_bytes)), {}}}});
+  std::vector<Pose> cameras;
+  for (const StillView& view : run.views) cameras.push_back(view.T_world_camera);
+  html += "<div class=\"pair\">";
+  for (const MeshView& view : outside_views(cut.mesh, guess_axes(cameras), cameras, 800, 540)) {
+    html += html_picture(view.name, "", render_mesh(cut.mesh, view.camera, view.T_world_camera));
+  }
+  const StillDepth* seen = nullptr;
+  for (const StillDepth& d : run.depths) {
+    if (d.refusal.empty() && !seen) seen = &d;
+  }
+  if (seen) {
+    html += html_picture("As the first view with depth saw it", "rendered",
+                         render_mesh(cut.mesh, seen->map.camera, seen->map.T_world_camera));
+  }
+  return html + "</div>\n";
+}
+
 }  // namespace
 
 std::string mvs_html(const MvsRun& run) {
@@ -79,7 +117,7 @@ std::string mvs_html(const MvsRun& run) {
       "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">"
       "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">"
       "<title>Depth of stills</title><style>{}</style></head><body><main><h1>Depth of stills</h1>"
-      "{}{}{}</main></body></html>\n",
+      "{}{}{}{}</main></body></html>\n",
       kReportStyle,
       html_section(
           "numbers", "Numbers",
@@ -91,7 +129,7 @@ std::string mvs_html(const MvsRun& run) {
                       {{"with depth", {}}, {format_count(maps), {}}},
                       {{"points that 3 views agree on", {}}, {format_count(run.points), {}}},
                       {{"seconds", {}}, {fmt::format("{:.1f}", run.seconds), {}}}})),
-      html_section("views", "Views", table(run)),
+      html_section("surface", "Surface", surface(run)), html_section("views", "Views", table(run)),
       html_section("pictures", "Pictures", pictures(run)));
 }
 
@@ -111,9 +149,24 @@ std::string mvs_json(const MvsRun& run) {
     }
     views.push_back(std::move(view));
   }
-  const Json json = {{"source", run.source}, {"version", run.version},
-                     {"device", run.device}, {"seconds", run.seconds},
-                     {"points", run.points}, {"views", std::move(views)}};
+  Json surface;
+  if (run.surface) {
+    const SurfaceCutStatistics& s = run.surface->statistics;
+    surface = {{"triangles", run.surface->mesh.triangles.size()},
+               {"unpaired_sides", unpaired_sides(run.surface->mesh)},
+               {"voxel_size", run.surface->voxel_size},
+               {"voxels", s.voxels},
+               {"crust_voxels", s.crust_voxels},
+               {"graph_s", s.graph_s},
+               {"maxflow_s", s.maxflow_s},
+               {"peak_mb", 1e-6 * static_cast<double>(s.peak_bytes)}};
+  } else if (!run.no_surface.empty()) {
+    surface = {{"refusal", run.no_surface}};
+  }
+  const Json json = {{"source", run.source},     {"version", run.version},
+                     {"device", run.device},     {"seconds", run.seconds},
+                     {"points", run.points},     {"surface", std::move(surface)},
+                     {"views", std::move(views)}};
   return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "mapping/still_depth.h"
+#include "mapping/surface_cut.h"
 
 namespace corvid {
 
@@ -13,8 +14,10 @@ struct MvsRun {
   std::string source, device, version;
   std::span<const StillView> views;
   std::span<const StillDepth> depths;
-  std::size_t points = 0;  ///< that at least 3 views agree on
-  double seconds = 0;
+  std::size_t points = 0;               ///< that at least 3 views agree on
+  double seconds = 0;                   ///< of depth maps and points
+  const SurfaceCut* surface = nullptr;  ///< null if there is none
+  std::string no_surface{};             ///< why not; empty if none was asked for
 };
 
 /// One self-contained page: a table of all views, pictures of image, depth and confidence of some.

@@ -45,22 +45,8 @@ std::vector<Seen> largest_segment(const RunResult& result) {
 /// What the keyframe's camera saw, on the pinhole of its depth map; empty without an image.
 ColourImage colours_of(const Seen& seen, const Camera& lens) {
   if (!seen.keyframe->frame) return {};
-  const FramePtr loaded = seen.keyframe->frame->load();
-  const Frame& frame = *loaded;
-  const auto map = [&] {
-    return WarpMap::between(lens, seen.depth.camera, Eigen::Matrix3d::Identity());
-  };
-  const auto fits = [&](const auto& image) {
-    return image.width() == lens.width_px && image.height() == lens.height_px;
-  };
-  if (fits(frame.colour)) return remap(frame.colour, map());
-  if (!fits(frame.grey)) return {};
-  const GreyImage grey = remap(frame.grey, map());
-  ColourImage out(grey.width(), grey.height());
-  std::transform(grey.data(), grey.data() + grey.size(), out.data(), [](std::uint8_t g) {
-    return Rgb8{g, g, g};
-  });
-  return out;
+  return remap_colours(*seen.keyframe->frame->load(), lens,
+                       WarpMap::between(lens, seen.depth.camera, Eigen::Matrix3d::Identity()));
 }
 
 }  // namespace

@@ -41,4 +41,13 @@ struct DepthWork {
                                                  const MappingScene& scene,
                                                  const std::stop_token& stop);
 
+/// The minimal surface of calibrated views in a volume cut into so many voxels, from depth maps of
+/// all views made beforehand; `seconds` holds votes, graph, maximum flow and mesh. Errors: of
+/// depth_of_stills() and cut_surface().
+[[nodiscard]] Expected<void> time_snapshots(const std::shared_ptr<Device>& device,
+                                            const MappingScene& scene,
+                                            const Eigen::AlignedBox3d& volume,
+                                            const std::vector<double>& voxels, int runs,
+                                            const std::stop_token& stop, MappingReport& report);
+
 }  // namespace corvid

@@ -48,9 +48,11 @@ void print(const MappingReport& report, std::ostream& out) {
                        percent(row.within_1), percent(row.within_2),
                        text(row.median_error_m, "{:.4f}"));
     if (row.voxels)
-      out << fmt::format("  {:.1f} million voxels, graph {} s, maximum flow {} s, peak {} MB\n",
-                         *row.voxels * 1e-6, text(row.graph_s, "{:.2f}"),
-                         text(row.maxflow_s, "{:.2f}"), text(row.peak_mb, "{:.0f}"));
+      out << fmt::format(
+          "  {:.1f} million voxels, graph {} s, maximum flow {} s, peak {} MB, {} sides of faces "
+          "without partner\n",
+          *row.voxels * 1e-6, text(row.graph_s, "{:.2f}"), text(row.maxflow_s, "{:.2f}"),
+          text(row.peak_mb, "{:.0f}"), text(row.unpaired_sides, "{:.0f}"));
   }
   if (report.rows.empty()) {
     out << "\nNothing was measured.\n";
@@ -77,6 +79,7 @@ std::string json_rows(const MappingReport& report) {
                        {"graph_s", number(row.graph_s)},
                        {"maxflow_s", number(row.maxflow_s)},
                        {"peak_mb", number(row.peak_mb)},
+                       {"unpaired_sides", number(row.unpaired_sides)},
                        {"peak_gflops", report.peak_gflops},
                        {"device", report.machine.device},
                        {"cores", report.machine.cores},

@@ -25,6 +25,7 @@ struct MappingRow {
   std::optional<double> voxels;
   std::optional<double> graph_s, maxflow_s;
   std::optional<double> peak_mb;
+  std::optional<double> unpaired_sides;  ///< of the surface's faces; 0: closed
 };
 
 struct MappingReport {

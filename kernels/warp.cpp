@@ -101,6 +101,19 @@ FloatImage remap(const FloatImage& source, const WarpMap& map) {
 ColourImage remap(const ColourImage& source, const WarpMap& map) {
   return remap_on_host(source, map);
 }
+ColourImage remap_colours(const Frame& frame, const Camera& lens, const WarpMap& map) {
+  const auto fits = [&](const auto& image) {
+    return image.width() == lens.width_px && image.height() == lens.height_px;
+  };
+  if (fits(frame.colour)) return remap(frame.colour, map);
+  if (!fits(frame.grey)) return {};
+  const GreyImage grey = remap(frame.grey, map);
+  ColourImage out(grey.width(), grey.height());
+  std::transform(grey.data(), grey.data() + grey.size(), out.data(), [](std::uint8_t g) {
+    return Rgb8{g, g, g};
+  });
+  return out;
+}
 
 Eigen::Matrix3d homography_between(const Camera& from, const Camera& to,
                                    const Eigen::Matrix3d& R_from_to) {

@@ -5,6 +5,7 @@
 #include <string>
 
 #include "corvid/camera.h"
+#include "corvid/frame.h"
 #include "corvid/image.h"
 #include "kernels/pyramid.h"
 
@@ -45,6 +46,9 @@ class WarpMap {
 [[nodiscard]] GreyImage remap(const GreyImage& source, const WarpMap& map);
 [[nodiscard]] FloatImage remap(const FloatImage& source, const WarpMap& map);
 [[nodiscard]] ColourImage remap(const ColourImage& source, const WarpMap& map);
+/// The frame's colours, or its grey values as colours, through a map from its lens; empty if the
+/// frame has neither of the lens's size.
+[[nodiscard]] ColourImage remap_colours(const Frame& frame, const Camera& lens, const WarpMap& map);
 
 /// A WarpMap on the device.
 struct DeviceWarpMap {

@@ -344,4 +344,20 @@ void colour_cut(TriangleMesh& mesh, const CutVolume& volume, std::span<const Cut
   });
 }
 
+std::size_t unpaired_sides(const TriangleMesh& mesh) {
+  std::vector<std::array<std::uint32_t, 2>> sides;
+  sides.reserve(3 * mesh.triangles.size());
+  for (const auto& f : mesh.triangles) {
+    for (std::size_t i = 0; i < 3; ++i) sides.push_back({f[i], f[(i + 1) % 3]});
+  }
+  std::sort(sides.begin(), sides.end());
+  std::size_t unpaired = 0;
+  for (std::size_t i = 0; i < sides.size(); ++i) {
+    const bool twice = i > 0 && sides[i] == sides[i - 1];
+    const std::array<std::uint32_t, 2> back{sides[i][1], sides[i][0]};
+    unpaired += twice || !std::binary_search(sides.begin(), sides.end(), back);
+  }
+  return unpaired;
+}
+
 }  // namespace corvid

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <span>
 
 #include "corvid/mesh_stream.h"
@@ -34,5 +35,9 @@ struct CutLabels {
 /// @param colours  one per view; of the size of its depth map, or null.
 void colour_cut(TriangleMesh& mesh, const CutVolume& volume, std::span<const CutView> views,
                 std::span<const ColourImage* const> colours, int threads);
+
+/// Sides of faces that no other face runs along exactly once in the opposite direction; 0 for a
+/// closed and oriented surface without edges of more than two faces.
+[[nodiscard]] std::size_t unpaired_sides(const TriangleMesh& mesh);
 
 }  // namespace corvid

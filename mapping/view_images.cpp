@@ -58,16 +58,7 @@ std::shared_ptr<const SweepImage> ViewImages::sweep_image(const Keyframe& keyfra
 
 ColourImage ViewImages::colours(const Frame& frame, const Camera& lens) {
   prepare_for(lens);
-  if (frame.colour.width() == lens.width_px && frame.colour.height() == lens.height_px) {
-    return remap(frame.colour, *reduce_);
-  }
-  if (frame.grey.width() != lens.width_px || frame.grey.height() != lens.height_px) return {};
-  const GreyImage grey = remap(frame.grey, *reduce_);
-  ColourImage out(grey.width(), grey.height());
-  std::transform(grey.data(), grey.data() + grey.size(), out.data(), [](std::uint8_t g) {
-    return Rgb8{g, g, g};
-  });
-  return out;
+  return remap_colours(frame, lens, *reduce_);
 }
 
 }  // namespace corvid

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "scenes/ball_views.h"
 #include "scenes/plane_views.h"
 
 namespace corvid {
@@ -102,6 +103,29 @@ TEST(MappingBench, AVolumeThatNobodySeesIsAnError) {
   EXPECT_FALSE(time_depth(device, peak, {{"behind", &scene, 2, behind, 5000, 0}}, 1, {}, report));
   const MappingScene few = wall(3);
   EXPECT_FALSE(time_depth(device, peak, {{"few", &few, 1, {}, 0, 48}}, 1, {}, report));
+}
+
+TEST(MappingBench, SnapshotsAreTimedAndFoundClosed) {
+  const auto device = Device::open("auto").value();
+  MappingScene scene;
+  scene.name = "ball";
+  for (const StillView& view : testing::ball_views(7)) {
+    scene.views.push_back({view.frame, view.T_world_camera, {}});
+  }
+  const Eigen::AlignedBox3d volume(Eigen::Vector3d(-0.9, -0.9, 2.1), Eigen::Vector3d(0.9, 0.9, 3));
+  MappingReport report;
+  const auto done = time_snapshots(device, scene, volume, {3e4, 2e5}, 1, {}, report);
+  ASSERT_TRUE(done.has_value()) << done.error().to_string();
+  ASSERT_EQ(report.rows.size(), 2U);
+  EXPECT_NEAR(report.rows[0].voxels.value(), 3e4, 3e3);
+  EXPECT_NEAR(report.rows[1].voxels.value(), 2e5, 1e4);
+  for (const MappingRow& row : report.rows) {
+    EXPECT_GT(row.graph_s.value(), 0);
+    EXPECT_GT(row.maxflow_s.value(), 0);
+    EXPECT_GT(row.peak_mb.value(), 0);
+    EXPECT_EQ(row.unpaired_sides.value(), 0);
+  }
+  EXPECT_FALSE(time_snapshots(device, wall(6), volume, {3e4}, 1, {}, report));
 }
 
 TEST(MappingBench, RowsHaveEveryKeyAndNullsForWhatDoesNotApply) {

@@ -2,9 +2,9 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
-
-#include "scenes/plane_views.h"
+#include "mapping/cut_mesh.h"
+#include "mapping/still_cut.h"
+#include "scenes/ball_views.h"
 
 namespace corvid {
 namespace {
@@ -15,34 +15,10 @@ std::shared_ptr<Device> device() {
   return *opened;
 }
 
-/// A ball before a wall, seen from an arc; all look at the ball.
-std::vector<StillView> arc(int count) {
-  testing::PlaneScene scene;
-  scene.planes = {{Eigen::Vector3d(0, 0, 1), 4.5}};
-  scene.spheres = {{Eigen::Vector3d(0, 0, 3), 0.7}};
-  scene.finest = 0.07;
-  const auto camera = std::make_shared<const Camera>(testing::pinhole(160, 120, 150));
-  std::vector<StillView> views;
-  for (int i = 0; i < count; ++i) {
-    const double angle = 0.09 * (i - 0.5 * (count - 1));
-    const Pose T(so3_exp({0, angle, 0}),
-                 Eigen::Vector3d(-3 * std::sin(angle), 0, 3 - 3 * std::cos(angle)));
-    auto frame = std::make_shared<Frame>();
-    frame->id = FrameId(static_cast<std::uint32_t>(i));
-    frame->grey = scene.render(*camera, T);
-    frame->camera = camera;
-    views.push_back({frame, T});
-  }
-  return views;
-}
-
-double off_surface(const Eigen::Vector3f& p) {
-  const Eigen::Vector3d q = p.cast<double>();
-  return std::min(std::abs(q.z() - 4.5), std::abs((q - Eigen::Vector3d(0, 0, 3)).norm() - 0.7));
-}
+using testing::ball_views;
 
 TEST(StillDepth, PointsThatThreeViewsAgreeOnLieOnTheSurface) {
-  const auto views = arc(7);
+  const auto views = ball_views(7);
   const auto depths = depth_of_stills(device(), views, {});
   ASSERT_TRUE(depths.has_value()) << depths.error().to_string();
   for (const StillDepth& d : *depths) {
@@ -53,13 +29,13 @@ TEST(StillDepth, PointsThatThreeViewsAgreeOnLieOnTheSurface) {
   ASSERT_GT(points.vertices.size(), 20000U);
   ASSERT_EQ(points.colours.size(), points.vertices.size());
   std::size_t near_surface = 0;
-  for (const auto& p : points.vertices) near_surface += off_surface(p) < 0.05;
+  for (const auto& p : points.vertices) near_surface += testing::off_ball_and_wall(p) < 0.05;
   EXPECT_GT(static_cast<double>(near_surface), 0.95 * static_cast<double>(points.vertices.size()));
   EXPECT_LT(agreed_points(views, *depths, 6).vertices.size(), points.vertices.size());
 }
 
 TEST(StillDepth, AViewThatLooksAwayIsRefusedAndTheOthersAreNot) {
-  auto views = arc(7);
+  auto views = ball_views(7);
   views[2].T_world_camera =
       views[2].T_world_camera * Pose(so3_exp({0, 3.1, 0}), Eigen::Vector3d::Zero());
   const auto depths = depth_of_stills(device(), views, {});
@@ -69,7 +45,7 @@ TEST(StillDepth, AViewThatLooksAwayIsRefusedAndTheOthersAreNot) {
 }
 
 TEST(StillDepth, WhatCannotBeIsRefusedWithItsReason) {
-  const auto views = arc(5);
+  const auto views = ball_views(5);
   EXPECT_FALSE(depth_of_stills(device(), {}, {}));
   EXPECT_FALSE(depth_of_stills(device(), std::span(views).first(2), {}));
   auto same = views;
@@ -91,11 +67,42 @@ TEST(StillDepth, WhatCannotBeIsRefusedWithItsReason) {
 
 TEST(StillDepth, ThePointThatCamerasLookAt) {
   std::vector<Pose> poses;
-  for (const StillView& view : arc(5)) poses.push_back(view.T_world_camera);
+  for (const StillView& view : ball_views(5)) poses.push_back(view.T_world_camera);
   const auto p = point_looked_at(poses);
   ASSERT_TRUE(p.has_value());
   EXPECT_LT((*p - Eigen::Vector3d(0, 0, 3)).norm(), 1e-6);
   EXPECT_FALSE(point_looked_at({}).has_value());
+}
+
+TEST(StillDepth, ASurfaceThroughThem) {
+  const auto views = ball_views(7);
+  const auto depths = depth_of_stills(device(), views, {});
+  ASSERT_TRUE(depths.has_value()) << depths.error().to_string();
+  SurfaceCutOptions options;
+  options.box = Eigen::AlignedBox3d(Eigen::Vector3d(-0.9, -0.9, 2.1), Eigen::Vector3d(0.9, 0.9, 3));
+  options.voxel_size = 0.03;
+  options.closed = false;  // the ball's back was seen by nobody
+  const auto cut = cut_stills(views, *depths, options);
+  ASSERT_TRUE(cut.has_value()) << cut.error().to_string();
+  ASSERT_GT(cut->mesh.vertices.size(), 1000U);
+  EXPECT_EQ(cut->mesh.colours.size(), cut->mesh.vertices.size());
+  std::size_t near_surface = 0;
+  for (const auto& p : cut->mesh.vertices) near_surface += testing::off_ball_and_wall(p) < 0.03;
+  EXPECT_GT(static_cast<double>(near_surface),
+            0.9 * static_cast<double>(cut->mesh.vertices.size()));
+  options.closed = true;
+  const auto closed = cut_stills(views, *depths, options);
+  ASSERT_TRUE(closed.has_value()) << closed.error().to_string();
+  EXPECT_EQ(unpaired_sides(closed->mesh), 0U);
+  EXPECT_GT(unpaired_sides(cut->mesh), 0U);
+}
+
+TEST(StillDepth, WithoutDepthThereIsNoSurface) {
+  const auto views = ball_views(5);
+  const auto depths = depth_of_stills(device(), views, {});
+  ASSERT_TRUE(depths.has_value()) << depths.error().to_string();
+  EXPECT_FALSE(cut_stills(views, *depths, {}, {}, 6).has_value());  // more than there are views
+  EXPECT_FALSE(cut_stills(views, {}, {}).has_value());
 }
 
 }  // namespace
