@@ -136,22 +136,33 @@ Pose Backend::Impl::pose_of(const FrameRecord& record) const {
 }
 
 /// A picture that is the one before to the last bit, noise included, shows an earlier moment: the
-/// camera's driver has repeated it. The pose is foretold from the motion before.
+/// camera's driver has repeated it. The pose is foretold from the motion before, as long as that
+/// motion stays small against the scene.
 void Backend::Impl::add_stale(const FrameTracks& tracks, PoseEvent* event) {
+  event->keyframe = false;
+  const MapKeyframe& reference = map.keyframes.back();
+  const auto foretold = predict(tracks.frame->time_ns);
+  constexpr double kFarthest = 0.05;  // of the landmarks' depth, and [rad]
+  if (!foretold || foretold->motion.head<3>().norm() > kFarthest * median_depth ||
+      foretold->motion.tail<3>().norm() > kFarthest) {
+    event->state = TrackingState::lost;
+    event->reason = "the pictures have been the same for too long to foretell the pose";
+    return;
+  }
   event->state = TrackingState::degraded;
   event->reason = "the picture is the same as the one before: the pose is foretold";
-  event->keyframe = false;
-  const Pose newest = pose_of(frames.back());
-  const Pose foretold = predict(tracks.frame->time_ns).value_or(newest);
-  const MapKeyframe& reference = map.keyframes.back();
-  const Pose T_keyframe_frame = reference.T_world_camera.inverse() * foretold;
+  const Pose T_keyframe_frame = reference.T_world_camera.inverse() * foretold->T_world_camera;
   frames.push_back({tracks.frame->id, tracks.frame->time_ns,
-                    static_cast<int>(map.keyframes.size()) - 1, T_keyframe_frame});
-  event->T_world_camera = foretold;
-  // The camera may as well have stopped, or gone twice as fast.
-  const Vector6d step = (newest.inverse() * foretold).log();
+                    static_cast<int>(map.keyframes.size()) - 1, T_keyframe_frame, true});
+  event->T_world_camera = foretold->T_world_camera;
+  // The camera may as well have stopped, or gone twice as fast; and a part of that to any side.
   event->covariance = reference.drift.seen_from(T_keyframe_frame).pose_covariance(focal.square()) +
-                      step * step.transpose();
+                      foretold->motion * foretold->motion.transpose();
+  constexpr double kAside = 0.3;
+  for (const int part : {0, 3}) {
+    event->covariance.diagonal().segment<3>(part).array() +=
+        kAside * kAside * foretold->motion.segment<3>(part).squaredNorm();
+  }
 }
 
 void Backend::Impl::add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event) {
@@ -205,7 +216,10 @@ void Backend::Impl::add_tracking(const FrameTracks& tracks, PoseEvent* event) {
   settings.huber_px = options.huber_px;
   settings.min_inliers = options.min_inliers;
   settings.seed = options.seed;
-  const Resection r = resect(map.camera, seen.points, predict(tracks.frame->time_ns), settings);
+  const auto foretold = predict(tracks.frame->time_ns);
+  const Resection r =
+      resect(map.camera, seen.points,
+             foretold ? std::optional(foretold->T_world_camera) : std::nullopt, settings);
   lap("backend/resect");
   const auto visible = static_cast<double>(seen.points.size());
   if (seen.points.size() < static_cast<std::size_t>(options.min_inliers)) {

@@ -42,7 +42,13 @@ struct Backend::Impl {
                        const Resection& r);
   [[nodiscard]] Drift drift_of(const Resection& r) const;
   [[nodiscard]] Sighting sight(const FrameTracks& tracks) const;
-  [[nodiscard]] std::optional<Pose> predict(std::int64_t time_ns) const;
+  /// A pose that no image has told.
+  struct Foretold {
+    Pose T_world_camera;
+    Vector6d motion;  ///< since the newest measured pose, if it went on as it was
+  };
+  [[nodiscard]] std::vector<const FrameRecord*> newest_measured(std::size_t count) const;
+  [[nodiscard]] std::optional<Foretold> predict(std::int64_t time_ns) const;
   [[nodiscard]] bool jumps(const Resection& r, std::size_t points, std::int64_t time_ns) const;
   [[nodiscard]] Pose pose_of(const FrameRecord& record) const;
   [[nodiscard]] IntrinsicsPolicy intrinsics_policy() const;

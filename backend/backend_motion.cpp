@@ -6,16 +6,26 @@
 
 namespace corvid {
 
-std::optional<Pose> Backend::Impl::predict(std::int64_t time_ns) const {
-  if (frames.size() <= segment_first_frame) return std::nullopt;
-  const Pose newest = pose_of(frames.back());
-  if (frames.size() < segment_first_frame + 2) return newest;
-  const FrameRecord& before = frames[frames.size() - 2];
-  const auto step_ns = static_cast<double>(frames.back().time_ns - before.time_ns);
-  const auto ahead_ns = static_cast<double>(time_ns - frames.back().time_ns);
-  if (!(step_ns > 0) || !(ahead_ns > 0) || ahead_ns > 3 * step_ns) return newest;
-  const Vector6d step = (pose_of(before).inverse() * newest).log();
-  return newest * Pose::exp(step * (ahead_ns / step_ns));
+/// The newest frames of the segment whose pose was measured, newest first.
+std::vector<const FrameRecord*> Backend::Impl::newest_measured(std::size_t count) const {
+  std::vector<const FrameRecord*> out;
+  for (std::size_t i = frames.size(); i > segment_first_frame && out.size() < count; --i) {
+    if (!frames[i - 1].foretold) out.push_back(&frames[i - 1]);
+  }
+  return out;
+}
+
+std::optional<Backend::Impl::Foretold> Backend::Impl::predict(std::int64_t time_ns) const {
+  const auto measured = newest_measured(2);
+  if (measured.empty()) return std::nullopt;
+  const Pose newest = pose_of(*measured[0]);
+  if (measured.size() < 2) return Foretold{newest, Vector6d::Zero()};
+  const auto step_ns = static_cast<double>(measured[0]->time_ns - measured[1]->time_ns);
+  const auto ahead_ns = static_cast<double>(time_ns - measured[0]->time_ns);
+  if (!(step_ns > 0) || !(ahead_ns > 0)) return Foretold{newest, Vector6d::Zero()};
+  const Vector6d motion = (pose_of(*measured[1]).inverse() * newest).log() * (ahead_ns / step_ns);
+  constexpr double kMostSteps = 3;
+  return Foretold{ahead_ns > kMostSteps * step_ns ? newest : newest * Pose::exp(motion), motion};
 }
 
 /// A step ten times as fast as the last ones, that not even most landmarks agree with.
@@ -25,18 +35,18 @@ bool Backend::Impl::jumps(const Resection& r, std::size_t points, std::int64_t t
   if (r.inliers >= kMostShare * static_cast<double>(points)) return false;
   const auto seconds = [](std::int64_t ns) { return 1e-9 * static_cast<double>(ns); };
   std::vector<double> speeds;
-  const std::size_t first = std::max(
-      segment_first_frame, frames.size() > kSteps ? frames.size() - kSteps : std::size_t{0});
-  for (std::size_t i = first + 1; i < frames.size(); ++i) {
-    const double dt = seconds(frames[i].time_ns - frames[i - 1].time_ns);
+  const auto measured = newest_measured(kSteps);
+  for (std::size_t i = 1; i < measured.size(); ++i) {
+    const double dt = seconds(measured[i - 1]->time_ns - measured[i]->time_ns);
     const double step =
-        (pose_of(frames[i]).translation() - pose_of(frames[i - 1]).translation()).norm();
+        (pose_of(*measured[i - 1]).translation() - pose_of(*measured[i]).translation()).norm();
     if (dt > 0) speeds.push_back(step / dt);
   }
-  const double dt = seconds(time_ns - frames.back().time_ns);
-  if (speeds.size() < 3 || !(dt > 0)) return false;
+  if (speeds.size() < 3) return false;
+  const double dt = seconds(time_ns - measured[0]->time_ns);
+  if (!(dt > 0)) return false;
   const double speed =
-      (r.T_world_camera.translation() - pose_of(frames.back()).translation()).norm() / dt;
+      (r.T_world_camera.translation() - pose_of(*measured[0]).translation()).norm() / dt;
   // A hovering camera may start to move: speeds far below one scene depth per 10 s are no jump.
   return speed > kTimesFaster * std::max(upper_median(std::move(speeds)), 0.01 * median_depth);
 }
@@ -44,16 +54,18 @@ bool Backend::Impl::jumps(const Resection& r, std::size_t points, std::int64_t t
 void Backend::Impl::publish_motion(std::span<const TrackObservation> observations) {
   auto motion = std::make_shared<MotionState>();
   if (mode == Mode::tracking && lost_frames == 0) {
-    const std::size_t count = std::min<std::size_t>(2, frames.size() - segment_first_frame);
-    for (std::size_t i = frames.size() - count; i < frames.size(); ++i) {
-      motion->recent.push_back({frames[i].time_ns, pose_of(frames[i])});
+    const auto measured = newest_measured(2);
+    for (std::size_t i = measured.size(); i-- > 0;) {
+      motion->recent.push_back({measured[i]->time_ns, pose_of(*measured[i])});
     }
   }
   if (mode == Mode::tracking) {
     const std::size_t kept = static_cast<std::size_t>(2 * options.window_keyframes);
     const std::size_t all = map.keyframes.size(), first = static_cast<std::size_t>(segment_first);
-    for (std::size_t k = std::max(first, all > kept ? all - kept : 0); k < all; ++k)
+    for (std::size_t k = std::max(first, all > kept ? all - kept : 0); k < all; ++k) {
+      if (map.keyframes[k].segment != segment) continue;  // in another world
       motion->keyframes.emplace_back(map.keyframes[k].frame->id, map.keyframes[k].T_world_camera);
+    }
     if (freedom != IntrinsicsFreedom::fixed) motion->camera = published_map->camera;
   }
   for (const TrackObservation& o : observations) {

@@ -123,7 +123,7 @@ bool Backend::Impl::relocalize(const FrameTracks& tracks, const PlacePose& place
   doubt.jump();
   frames.push_back({tracks.frame->id, tracks.frame->time_ns, k, Pose()});
   connect_place(map, k, place, kept, fused);
-  guess_points(map, k, place, kept);
+  guess_points(map, k, place, kept, fused);
   std::vector<double> depths;
   for (const PlaceInlier& i : place.inliers)
     if (const auto it = map.tracks.find(resolve(fused, i.landmark)); it != map.tracks.end())

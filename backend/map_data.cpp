@@ -41,7 +41,24 @@ void publish_landmarks(MapData& map) {
   }
 }
 
+/// The keyframe with landmarks under their new ids; null if it does not see one of them.
+std::shared_ptr<const Keyframe> renamed(const MapKeyframe& keyframe) {
+  auto copy = std::make_shared<Keyframe>(*keyframe.published);
+  for (const auto& [from, to] : keyframe.renamed) {
+    const auto it = std::find_if(
+        copy->observations.begin(), copy->observations.end(),
+        [id = LandmarkId(from.value)](const Observation& o) { return o.landmark == id; });
+    if (it == copy->observations.end()) return nullptr;
+    it->landmark = LandmarkId(to.value);
+  }
+  std::sort(copy->observations.begin(), copy->observations.end(),
+            [](const Observation& a, const Observation& b) { return a.landmark < b.landmark; });
+  return copy;
+}
+
 }  // namespace
+
+std::uint32_t chunk_of(TrackId id) { return id.value >> kChunkBits; }
 
 double floored_sigma_px(const TrackObservation& observation) {
   constexpr double kFloorPx = 0.3, kDefaultPx = 1;
@@ -143,7 +160,7 @@ void MapData::forget_tracks(int k) {
 
 void MapData::erase_track(TrackId id) {
   tracks.erase(id);
-  stale_landmarks.insert(id.value >> kChunkBits);
+  stale_landmarks.insert(chunk_of(id));
 }
 
 void MapData::set_camera(const Camera& refined) {
@@ -162,6 +179,8 @@ std::shared_ptr<const MapSnapshot> MapData::snapshot(std::uint64_t version) {
   out->keyframes.reserve(keyframes.size());
   for (std::size_t k = 0; k < keyframes.size(); ++k) {
     MapKeyframe& keyframe = keyframes[k];
+    if (keyframe.published && !keyframe.renamed.empty()) keyframe.published = renamed(keyframe);
+    keyframe.renamed.clear();
     if (!keyframe.published) {
       auto copy = std::make_shared<Keyframe>();
       copy->id = KeyframeId(static_cast<std::uint32_t>(k));
@@ -169,7 +188,7 @@ std::shared_ptr<const MapSnapshot> MapData::snapshot(std::uint64_t version) {
       copy->frame = keyframe.frame;
       copy->T_world_camera = keyframe.T_world_camera;
       for (const TrackId id : keyframe.tracks) {
-        stale_landmarks.insert(id.value >> kChunkBits);
+        stale_landmarks.insert(chunk_of(id));
         const auto it = tracks.find(id);
         if (it == tracks.end() || !it->second.landmark) continue;
         const auto& views = it->second.views;

@@ -50,6 +50,8 @@ struct MapKeyframe {
   std::vector<TrackId> tracks;                ///< ascending; those with a view here or once had
   std::optional<PositionPrior> position;      ///< set by MapPositions
   std::shared_ptr<const Keyframe> published;  ///< null if it changed since
+  /// Landmarks that got another id since: first -> second, in this order.
+  std::vector<std::pair<TrackId, TrackId>> renamed;
 };
 
 /// The map that the backend works on: keyframes and tracks, by position and by id.
@@ -57,8 +59,8 @@ struct MapData {
   Camera camera;
   std::vector<MapKeyframe> keyframes;
   std::map<TrackId, MapTrack> tracks;
-  /// Of the last snapshot, by the upper bits of the id. What a keyframe sees that is to be
-  /// published anew is made anew, and what is named here.
+  /// Of the last snapshot, by chunk_of() their id. What a keyframe sees that is to be published
+  /// anew is made anew, and what is named here.
   std::map<std::uint32_t, Landmarks::Chunk> published_landmarks;
   std::set<std::uint32_t> stale_landmarks;
 
@@ -83,11 +85,15 @@ struct MapData {
   /// Takes a track out of the map; no keyframe may name it any more.
   void erase_track(TrackId id);
   /// An immutable copy; what did not change is shared with the last copy. A landmark has changed if
-  /// a keyframe that names it has (`published` is null), or if it was erased.
+  /// a keyframe that names it has (`published` is null), if it was erased, or if its chunk is named
+  /// stale.
   [[nodiscard]] std::shared_ptr<const MapSnapshot> snapshot(std::uint64_t version);
   /// Appends another map, whose tracks replace those of the same id here.
   void append(MapData&& other);
 };
+
+/// Which chunk of a snapshot's landmarks holds an id.
+[[nodiscard]] std::uint32_t chunk_of(TrackId id);
 
 /// largest_sigma_px() of an observation: never below what NCC peaks can deliver.
 [[nodiscard]] double floored_sigma_px(const TrackObservation& observation);

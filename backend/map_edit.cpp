@@ -75,14 +75,17 @@ bool fuse_tracks(MapData& map, TrackId living, TrackId old, FusedTracks& fused) 
       return false;
   }
   MapTrack& track = to->second;
+  for (const KeyframeView& v : track.views) keyframe_at(map, v.keyframe).published = nullptr;
   for (const KeyframeView& v : from->second.views) {
     MapKeyframe& keyframe = keyframe_at(map, v.keyframe);
     std::erase(keyframe.tracks, old);
     insert_track(keyframe, living);
     const auto at = view_in(track, v.keyframe);
-    if (at == track.views.end() || at->keyframe != v.keyframe) track.views.insert(at, v);
+    if (at != track.views.end() && at->keyframe == v.keyframe) continue;
+    track.views.insert(at, v);
+    if (keyframe.published) keyframe.renamed.emplace_back(old, living);
   }
-  for (const KeyframeView& v : track.views) keyframe_at(map, v.keyframe).published = nullptr;
+  map.stale_landmarks.insert(chunk_of(living));
   track.landmark = true;
   track.p_world = from->second.p_world;
   track.colour = from->second.colour;
@@ -114,7 +117,7 @@ int connect_place(MapData& map, int query, const PlacePose& place,
 }
 
 int guess_points(MapData& map, int query, const PlacePose& place,
-                 std::span<const TrackObservation> observations) {
+                 std::span<const TrackObservation> observations, const FusedTracks& fused) {
   const Pose& T_world_query = keyframe_at(map, query).T_world_camera;
   int count = 0;
   for (const TrackObservation& o : observations) {
@@ -128,7 +131,7 @@ int guess_points(MapData& map, int query, const PlacePose& place,
         });
     if (nearest == place.inliers.end() || (nearest->seen.pixel - o.pixel).norm() > kBesidePx)
       continue;
-    const auto beside = map.tracks.find(nearest->landmark);
+    const auto beside = map.tracks.find(resolve(fused, nearest->landmark));
     if (beside == map.tracks.end() || !beside->second.landmark) continue;
     const double distance = (beside->second.p_world - T_world_query.translation()).norm();
     Triangulation guess;

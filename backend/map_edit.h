@@ -24,7 +24,7 @@ int connect_place(MapData& map, int query, const PlacePose& place,
 /// Gives tracks without a point, that lie within 12 px of a recognised landmark, a point at its
 /// depth: good enough to follow the camera until they are triangulated. Returns how many.
 int guess_points(MapData& map, int query, const PlacePose& place,
-                 std::span<const TrackObservation> observations);
+                 std::span<const TrackObservation> observations, const FusedTracks& fused);
 
 /// Moves keyframes; landmarks follow the keyframe in the middle of their views, frames theirs.
 /// @param T_world_keyframe  one per keyframe of the map: where it shall be, and its own unit of

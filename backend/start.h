@@ -17,6 +17,7 @@ struct FrameRecord {
   std::int64_t time_ns = 0;
   int keyframe = 0;  ///< position in the map
   Pose T_keyframe_frame;
+  bool foretold = false;  ///< from the motion before: the frame showed nothing new
 };
 
 /// A new map segment with the frames that it covers.

@@ -24,7 +24,7 @@ struct Part {
   std::vector<MapTrack*> tracks;  // of each point
 };
 
-constexpr std::size_t kMostFixedViews = 16;  ///< of a landmark, in keyframes that do not move
+constexpr std::size_t kMostFixedViews = 6;  ///< of a landmark, in keyframes that do not move
 
 /// Which of a landmark's views count: all in keyframes that move, and of the others, evenly spread,
 /// so many that more would hardly say more: a landmark that is found again and again on a long

@@ -206,5 +206,62 @@ TEST(MapEdit, AStraightenedMapCarriesFusedLandmarksWithTheMiddleOfTheirViews) {
   EXPECT_LT((now / straight[kMiddle].scale() - in_middle).norm(), 1e-6 * in_middle.norm());
 }
 
+TEST(MapEdit, AFusedLandmarkHasItsNewNameInEveryKeyframeOfTheSnapshot) {
+  HandMade hand;
+  for (int i = 0; i < 6; ++i) hand.add(0, at(0.3 * i));
+  const auto points = points_before(at(0));
+  for (std::uint32_t i = 0; i < points.size(); ++i) hand.landmark(10 * i, points[i], {0, 1, 2});
+  (void)hand.map.snapshot(1);
+  // Seen again in new keyframes, under names in another chunk; one was seen in keyframe 2, too.
+  for (const std::uint32_t i : {3U, 5U, 7U}) {
+    hand.landmark(5000 + i, points[i], i == 5 ? std::vector<int>{2, 4, 5} : std::vector<int>{4, 5});
+    ASSERT_TRUE(fuse_tracks(hand.map, TrackId(5000 + i), TrackId(10 * i), hand.fused));
+  }
+  // And one of them once more before the next snapshot.
+  hand.landmark(9000, points[3], {5});
+  ASSERT_TRUE(fuse_tracks(hand.map, TrackId(9000), TrackId(5003), hand.fused));
+  const auto now = hand.map.snapshot(2);
+  MapData fresh = hand.map;
+  for (MapKeyframe& keyframe : fresh.keyframes) keyframe.published = nullptr;
+  fresh.published_landmarks.clear();
+  for (const auto& [id, track] : fresh.tracks) fresh.stale_landmarks.insert(chunk_of(id));
+  const auto wanted = fresh.snapshot(2);
+  ASSERT_EQ(now->landmarks.size(), wanted->landmarks.size());
+  for (const Landmark& landmark : wanted->landmarks) {
+    const Landmark* const found = now->find(landmark.id);
+    ASSERT_NE(found, nullptr) << landmark.id.value;
+    EXPECT_EQ(found->observations, landmark.observations);
+  }
+  for (std::size_t k = 0; k < wanted->keyframes.size(); ++k) {
+    const auto& a = now->keyframes[k]->observations;
+    const auto& b = wanted->keyframes[k]->observations;
+    ASSERT_EQ(a.size(), b.size()) << k;
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      EXPECT_EQ(a[i].landmark, b[i].landmark);
+      EXPECT_EQ(a[i].pixel, b[i].pixel);
+    }
+  }
+}
+
+TEST(MapEdit, TracksBesideAFusedLandmarkBorrowItsDepth) {
+  HandMade hand;
+  const int a = hand.add(0, at(0)), query = hand.add(0, at(0.2));
+  const Eigen::Vector3d p(0.1, 0.2, 5);
+  hand.landmark(1, p, {a});
+  hand.map.tracks[TrackId(2)];  // the query's own track of the same feature
+  add_view(hand.map, query, {TrackId(2), hand.pixel(query, p)});
+  hand.map.tracks[TrackId(3)];  // and one beside it
+  add_view(hand.map, query, {TrackId(3), hand.pixel(query, p) + Eigen::Vector2d(5, 0)});
+  const std::vector<TrackObservation> observations{
+      {TrackId(2), hand.pixel(query, p)},
+      {TrackId(3), hand.pixel(query, p) + Eigen::Vector2d(5, 0)}};
+  const PlacePose place = found(hand, a, at(0.2));
+  ASSERT_EQ(place.inliers.size(), 1U);
+  ASSERT_EQ(connect_place(hand.map, query, place, observations, hand.fused), 1);
+  EXPECT_EQ(guess_points(hand.map, query, place, observations, hand.fused), 1);
+  EXPECT_TRUE(hand.map.tracks.at(TrackId(3)).landmark);
+  EXPECT_NEAR(hand.map.tracks.at(TrackId(3)).p_world.z(), 5, 0.1);
+}
+
 }  // namespace
 }  // namespace corvid

@@ -260,6 +260,26 @@ TEST(HardCases, AStalePictureUnderANewTimeIsDegraded) {
   expect_honest(flown);
 }
 
+TEST(HardCases, AFrozenPictureIsForetoldForAMomentAndThenLost) {
+  Disturbance frozen;
+  frozen.frozen = {40, 70};
+  const Flown flown = fly(100, frozen);
+  EXPECT_EQ(flown.at(40).state, TrackingState::degraded);
+  EXPECT_EQ(flown.at(69).state, TrackingState::lost);
+  EXPECT_NE(flown.at(69).reason.find("the same for too long"), std::string::npos);
+  EXPECT_FALSE(flown.at(69).T_world_camera.has_value());
+  // Each foretold pose claims more than the one before.
+  double claimed = 0;
+  std::size_t foretold = 0;
+  for (std::size_t i = 40; flown.at(i).state == TrackingState::degraded; ++i, ++foretold) {
+    const double trace = flown.at(i).covariance.topLeftCorner<3, 3>().trace();
+    EXPECT_GT(trace, claimed);
+    claimed = trace;
+  }
+  EXPECT_GT(foretold, 2U);
+  expect_honest(flown);
+}
+
 TEST(HardCases, ACalibrationThatIsSlightlyWrongIsCoveredByWhatIsClaimed) {
   Disturbance focal;
   focal.focal = 1.01;

@@ -23,6 +23,7 @@ struct Disturbance {
   double missing = 0;                        ///< share of the frames that never come
   std::optional<std::size_t> twice_every;    ///< each n-th frame comes twice
   std::optional<std::size_t> stale_every;    ///< each n-th frame shows the picture before it
+  Span frozen{};                             ///< show the picture before the first of them
   std::optional<std::size_t> swapped_every;  ///< each n-th frame comes after the next one
   std::optional<std::size_t> brighter_from;  ///< exposure jumps here
   double brighter = 1;                       ///< by this factor; bright parts saturate
@@ -90,7 +91,9 @@ class DisturbedFlight final : public FrameSource {
   }
 
   [[nodiscard]] FramePtr picture(std::size_t i) const {
-    const std::size_t shown = i > 0 && every(disturbance_.stale_every, i) ? i - 1 : i;
+    std::size_t shown = i > 0 && every(disturbance_.stale_every, i) ? i - 1 : i;
+    if (i >= disturbance_.frozen.first && i < disturbance_.frozen.second)
+      shown = disturbance_.frozen.first - 1;
     auto frame = std::make_shared<Frame>();
     const auto [from, to] = disturbance_.covered;
     if (i >= from && i < to) {
