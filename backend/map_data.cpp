@@ -19,7 +19,7 @@ Rgb8 colour_at(const Frame& frame, const Eigen::Vector2d& pixel) {
   return {};
 }
 
-constexpr int kChunkBits = 10;  ///< of a landmark's id, below its chunk
+constexpr int kChunkBits = 7;  ///< of a landmark's id, below its chunk
 
 /// Makes the chunks that are stale anew.
 void publish_landmarks(MapData& map) {
