@@ -367,6 +367,11 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
           "The depth maps made no surface: most likely voxels of {:.3g} map units do not fit the "
           "scene; `mapping.voxel_size = 0` chooses a size that does.",
           result.voxel_size));
+    if (statistics.lost_depth_maps > 0)
+      result.notes.push_back(fmt::format(
+          "{} depth maps could not be read back from the archive: their surface stays where it "
+          "was fused last.",
+          statistics.lost_depth_maps));
     if (statistics.lost_blocks > 0)
       result.notes.push_back(fmt::format(
           "{} voxel blocks were lost for want of room: mapping.memory_mb = {}, mapping.disk_mb = "

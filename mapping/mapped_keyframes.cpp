@@ -72,6 +72,13 @@ const MappedKeyframe* MappedKeyframes::find(KeyframeId id) const {
   return it == keyframes_.end() ? nullptr : &it->second;
 }
 
+void MappedKeyframes::drop(KeyframeId id) {
+  const auto it = keyframes_.find(id);
+  if (it == keyframes_.end()) return;
+  moved_.erase({it->second.motion, id});
+  keyframes_.erase(it);
+}
+
 void MappedKeyframes::forget_fused() {
   for (auto& [id, entry] : keyframes_) entry.fused.reset();
   segment_.reset();

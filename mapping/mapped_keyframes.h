@@ -49,6 +49,7 @@ class MappedKeyframes {
   /// nullptr if it has no depth.
   [[nodiscard]] const MappedKeyframe* find(KeyframeId id) const;
   [[nodiscard]] const std::map<KeyframeId, MappedKeyframe>& all() const { return keyframes_; }
+  void drop(KeyframeId id);
   /// Nothing is in the voxel map any more.
   void forget_fused();
 

@@ -287,10 +287,14 @@ struct Mapper::Impl {
     if (!move) return false;
     end_slice();
     MappedKeyframe& entry = *move->keyframe;
+    const auto depth = entry.depth.scaled();
+    if (depth->depth.empty()) {
+      give_up(entry.depth.keyframe);
+      return true;
+    }
     if (entry.fused) {
       Stopwatch watch;
-      volume->unfuse(*entry.fused, *entry.depth.scaled(),
-                     images.colours(*entry.frame->load(), entry.lens));
+      volume->unfuse(*entry.fused, *depth, images.colours(*entry.frame->load(), entry.lens));
       entry.fused.reset();
       timings.emplace_back("unfuse", watch.lap_ms());
       counts.refusions += move->wanted;
@@ -302,6 +306,15 @@ struct Mapper::Impl {
       show_changes();
     }
     return true;
+  }
+
+  /// Of a keyframe whose depth map cannot be read back. What is in the volume of it stays there:
+  /// nobody knows any more what that is.
+  void give_up(KeyframeId id) {
+    log().warn("keyframe {}: its depth map is lost; its surface no longer follows its pose",
+               id.value);
+    ++counts.lost_depth_maps;
+    mapped.drop(id);
   }
 
   void grow(MappedKeyframe& entry) {

@@ -25,6 +25,7 @@ struct MapperStatistics {
   std::uint64_t blocks = 0;            ///< voxel blocks there are now
   std::uint64_t blocks_in_memory = 0;  ///< of those
   std::uint64_t lost_blocks = 0;       ///< for which neither memory nor the archive had room
+  std::uint64_t lost_depth_maps = 0;   ///< that the archive did not give back
   double answered = 0;                 ///< mean share of rays with depth, of the depth maps
 };
 

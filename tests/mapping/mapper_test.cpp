@@ -310,6 +310,26 @@ TEST(Mapper, ASpentBudgetChangesNothingButWhereThingsLie) {
   EXPECT_EQ(mesh.colours, same.colours);
 }
 
+TEST(Mapper, DepthMapsThatCannotBeReadBackAreGivenUp) {
+  // Fused already, and not yet: the second pass lies in a segment of its own until it joins.
+  for (const bool joins : {false, true}) {
+    const auto archive = std::make_shared<testing::MemoryArchive>();
+    const auto mapper = make_mapper(nullptr, 1, archive);
+    mapper->finish(joins ? both_passes(room_map(), room_map(), 1) : room_map());
+    const std::size_t all = mapper->depth_maps().size();
+    archive->broken = true;
+    mapper->finish(joins
+                       ? both_passes(room_map(), room_map(), 0)
+                       : moved(room_map(), Pose(so3_exp({0, 0.1, 0}), Eigen::Vector3d(0.5, 0, 0))));
+    const MapperStatistics statistics = mapper->statistics();
+    EXPECT_GE(statistics.lost_depth_maps, 6U);
+    EXPECT_EQ(mapper->depth_maps().size() + statistics.lost_depth_maps, all);
+    EXPECT_GT(mapper->depth_maps().size(), 0U) << "the newest is in memory";
+    mapper->finish(room_map());
+    EXPECT_FALSE(mapper->mesh().empty());
+  }
+}
+
 TEST(Mapper, WithoutAnArchiveTheBudgetHolds) {
   auto mapper = make_mapper(nullptr, 1);
   mapper->finish(room_map());
