@@ -218,22 +218,21 @@ struct Mapper::Impl {
     if (std::min(depth->camera.width_px, depth->camera.height_px) < options.template_px) {
       return std::nullopt;
     }
-    // The kernels count the elements of their volumes in 32 bits.
-    const double elements = (depth->camera.width_px + 64.0) * (depth->camera.height_px + 32.0) *
-                            options.neighbours * std::max(0.125 * options.depth_samples, 7.0);
-    if (elements > 2e9) {
-      log().warn(
-          "keyframe {}: no depth: {:.0f} elements are too many for one sweep; raise "
-          "mapping.depth_scale",
-          keyframe.id.value, elements);
-      return std::nullopt;
-    }
     const double near = scene.near / kRangeMargin, far = scene.far * kRangeMargin;
     ViewChoiceOptions choice;
     choice.neighbours = options.neighbours;
     choice.focal_px = depth->camera.fx_px;
     choice.inverse_depth_step = (1 / near - 1 / far) / (options.depth_samples - 1);
     const std::vector<Neighbour> chosen = choose_neighbours(map, index, choice);
+    if (sweeper.scores_at_once(depth->camera.width_px, depth->camera.height_px, chosen.size(),
+                               options.depth_samples) > DepthSweeper::kMostScores) {
+      log().warn(
+          "keyframe {}: no depth: {} x {} rays with {} neighbours are too many for one sweep; "
+          "raise "
+          "mapping.depth_scale",
+          keyframe.id.value, depth->camera.width_px, depth->camera.height_px, chosen.size());
+      return std::nullopt;
+    }
 
     const auto reference = images.sweep_image(keyframe, lens, sweeper);
     if (!reference) return std::nullopt;

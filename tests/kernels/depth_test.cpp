@@ -298,6 +298,21 @@ TEST(Depth, OptionsOutOfRangeAreRefused) {
   }
 }
 
+TEST(Depth, WhatCannotBeCountedIsRefusedBeforeItIsTried) {
+  // 24 megapixels: 4 neighbours are possible, 16 are not.
+  DepthSweeper sweeper = make_sweeper();
+  EXPECT_LT(sweeper.scores_at_once(6000, 4000, 4, 128), DepthSweeper::kMostScores);
+  EXPECT_GT(sweeper.scores_at_once(6000, 4000, 16, 128), DepthSweeper::kMostScores);
+  EXPECT_GT(sweeper.scores_at_once(6000, 4000, 4, 128, false), DepthSweeper::kMostScores);
+  EXPECT_EQ(sweeper.scores_at_once(32, 20, 2, 64), 32 * 20 * 2 * 64) << "too small to be halved";
+  SweepImage image;
+  image.full.width_px = 6000, image.full.height_px = 4000;
+  image.half.width_px = 3000, image.half.height_px = 2000;
+  const Camera camera = pinhole(6000, 4000, 5000);
+  const std::vector<SweepNeighbour> neighbours(16, {&image, camera, at(0.1, 0, 0)});
+  EXPECT_THROW((void)sweeper.estimate({&image, camera, neighbours, 1, 9, 128}), std::logic_error);
+}
+
 TEST(Depth, ScaledCameraSeesTheSameDirections) {
   const Camera full = pinhole(100, 80, 90), half = DepthSweeper::scaled(full, 2);
   EXPECT_EQ(half.width_px, 50);
