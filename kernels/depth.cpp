@@ -204,9 +204,10 @@ void DepthSweeper::load(const SweepRequest& request, bool half, const Grid& grid
     fill(*image, grid.elements(), nan, lane);
   }
   for (Buffer<float>* image :
-       {&surface_, &slant_x_, &slant_y_, &support_, &inverse_, &score_, &lead_, &guess_}) {
+       {&surface_, &slant_x_, &slant_y_, &support_, &inverse_, &score_, &guess_}) {
     fill(*image, grid.elements(), 0, lane);
   }
+  fill(lead_, grid.elements(), 1, lane);  // rows without whole windows know of no other peak
   set_arguments(kernels_.reference_grey, level(*request.reference).quads, grid.width, grid.height,
                 grid.pitch, grey_.cl());
   launch_rows(*device_, lane, kernels_.reference_grey, grid.width, grid.height);

@@ -203,6 +203,25 @@ TEST(Depth, FromCoarseToFineFindsWhatTheWholeSweepFinds) {
   EXPECT_GT(coarse.within_1, 0.95);
 }
 
+TEST(Depth, RowsThatOnlyTheFullResolutionSeesAreNotAmbiguous) {
+  // At half the resolution the templates of these rows are not whole: nothing is known of rivals.
+  const Views views(slanted_wall(), pinhole(189, 121, 150),
+                    {at(0, 0, 0), at(-0.4, 0, 0), at(-0.2, 0.05, 0), at(0.2, 0, 0.05)});
+  DepthSweeper sweeper = make_sweeper();
+  const SweepResult result = views.estimate(sweeper, 1.5, 9, 96, 3, 1, true);
+  for (const int first : {5, 121 - 10}) {
+    int answers = 0;
+    for (int y = first; y < first + 5; ++y) {
+      for (int x = 5; x < 184; ++x) {
+        if (!(result.depth(x, y) > 0)) continue;
+        ++answers;
+        EXPECT_GT(result.lead(x, y), 0.1) << x << " " << y;
+      }
+    }
+    EXPECT_GT(answers, 450);
+  }
+}
+
 TEST(Depth, ABallKeepsItsOutlineBeforeAWall) {
   PlaneScene scene;
   scene.planes = {{Eigen::Vector3d(0, 0, 1), 5}};
