@@ -392,10 +392,8 @@ TriangleMesh Mapper::mesh() const {
   return impl_->volume ? mesh_all(*impl_->volume) : TriangleMesh{};
 }
 
-std::vector<StoredDepth> Mapper::depth_maps() const {
-  std::vector<StoredDepth> out;
-  for (const auto& [id, entry] : impl_->mapped.all()) out.push_back(entry.depth);
-  return out;
+std::vector<StoredDepth> Mapper::depth_maps(const MapSnapshot& map) const {
+  return impl_->mapped.depth_maps(map);
 }
 
 double Mapper::voxel_size() const { return impl_->volume ? impl_->volume->voxel_size() : 0; }

@@ -59,8 +59,9 @@ class Mapper {
 
   /// The whole surface, vertices on the borders of blocks welded.
   [[nodiscard]] TriangleMesh mesh() const;
-  /// By keyframe, each at the pose of its estimate.
-  [[nodiscard]] std::vector<StoredDepth> depth_maps() const;
+  /// By keyframe, where and as large as `map` has them by now, whether fused there or not; those
+  /// that it does not have: at the pose of their estimate.
+  [[nodiscard]] std::vector<StoredDepth> depth_maps(const MapSnapshot& map = {}) const;
   /// [map units]; 0 until the first keyframes have shown how large the scene is. Without a fixed
   /// options.voxel_size it follows the typical depth of the scene in steps of a factor of 2 or
   /// more.

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <map>
 
+#include "core/median.h"
 #include "mapping/mesh_checks.h"
 #include "mapping/voxel_block.h"
 #include "scenes/memory_archive.h"
@@ -310,6 +311,35 @@ TEST(Mapper, ASpentBudgetChangesNothingButWhereThingsLie) {
   EXPECT_EQ(mesh.vertices, same.vertices);
   EXPECT_EQ(mesh.triangles, same.triangles);
   EXPECT_EQ(mesh.colours, same.colours);
+}
+
+TEST(Mapper, DepthMapsAreHandedOutInThePoseAndScaleOfTheMapAsked) {
+  // The unit of length changes after the last keyframe, of the main segment and of another one.
+  const MapSnapshot small = scaled(room_map(), 0.1, 7);
+  const auto mapper = make_mapper();
+  mapper->finish(both_passes(small, small, 1));
+  const MapSnapshot after = both_passes(room_map(), room_map(), 1);
+  const auto check = [&] {
+    const std::vector<StoredDepth> maps = mapper->depth_maps(after);
+    ASSERT_EQ(maps.size(), 14U);
+    for (std::size_t i = 0; i < maps.size(); ++i) {
+      const DepthMap map = maps[i].load();
+      const Pose& T = after.keyframes[i]->T_world_camera;
+      EXPECT_EQ(map.T_world_camera.translation(), T.translation());
+      const FloatImage truth = room().depth(map.camera, T);
+      std::vector<double> errors;
+      for (std::size_t k = 0; k < truth.size(); ++k) {
+        if (map.depth.data()[k] > 0)
+          errors.push_back(std::abs(map.depth.data()[k] / truth.data()[k] - 1));
+      }
+      ASSERT_GT(errors.size(), 5000U);
+      EXPECT_LT(upper_median(std::move(errors)), 0.01) << i;
+    }
+  };
+  check();
+  mapper->finish(after);
+  check();
+  EXPECT_EQ(mapper->depth_maps().size(), 14U);
 }
 
 TEST(Mapper, DepthMapsThatCannotBeReadBackAreGivenUp) {
