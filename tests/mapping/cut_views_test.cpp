@@ -112,6 +112,7 @@ TEST(CutViews, APointVotesOncePerViewForTheThreeFacesAroundIt) {
   EXPECT_EQ(points.voxels.count(), 1U);
   EXPECT_TRUE(points.voxels.test({5, 7, 10}));
   const CrustBlocks blocks(points.voxels.within_4());
+  EXPECT_EQ(CrustBlocks::count_places(points.voxels.within_4()), blocks.places());
   for (const int threads : {1, 3}) {
     const LinkVotes votes = count_votes(views, blocks, threads);
     const Eigen::Vector3i faces[] = {{5, 7, 10}, {5, 7, 10}, {5, 7, 9}};
