@@ -199,26 +199,36 @@ bool covered(const BitGrid& crust, int x, int y, int z) {
 void spread_labels(CutCells& cells, const std::vector<CutLabel>& likely) {
   const auto sx = static_cast<std::size_t>(cells.size.x());
   const std::size_t sy = sx * static_cast<std::size_t>(cells.size.y());
+  const auto open = [&](std::size_t i) {
+    return likely[i] != CutLabel::unknown && cells.labels[i] == CutLabel::unknown;
+  };
+  const auto for_each_open_neighbour = [&](std::size_t i, auto&& call) {
+    const auto visit = [&](bool there, std::size_t j) {
+      if (there && open(j)) call(j);
+    };
+    const std::size_t x = i % sx, y = i % sy / sx;
+    visit(x > 0, i - 1);
+    visit(x + 1 < sx, i + 1);
+    visit(y > 0, i - sx);
+    visit(i % sy + sx < sy, i + sx);
+    visit(i >= sy, i - sy);
+    visit(i + sy < cells.labels.size(), i + sy);
+  };
+  // Only cells at the border of what is labelled: there are few of them.
   std::vector<std::size_t> front, next;
   for (std::size_t i = 0; i < cells.labels.size(); ++i) {
-    if (cells.labels[i] != CutLabel::unknown) front.push_back(i);
+    if (cells.labels[i] == CutLabel::unknown) continue;
+    bool at_border = false;
+    for_each_open_neighbour(i, [&](std::size_t) { at_border = true; });
+    if (at_border) front.push_back(i);
   }
   while (!front.empty()) {
     next.clear();
     for (const std::size_t i : front) {
-      const auto offer = [&](bool there, std::size_t j) {
-        if (!there || likely[j] == CutLabel::unknown || cells.labels[j] != CutLabel::unknown)
-          return;
+      for_each_open_neighbour(i, [&](std::size_t j) {
         cells.labels[j] = cells.labels[i];
         next.push_back(j);
-      };
-      const std::size_t x = i % sx, y = i % sy / sx;
-      offer(x > 0, i - 1);
-      offer(x + 1 < sx, i + 1);
-      offer(y > 0, i - sx);
-      offer(i % sy + sx < sy, i + sx);
-      offer(i >= sy, i - sy);
-      offer(i + sy < cells.labels.size(), i + sy);
+      });
     }
     front.swap(next);
   }
