@@ -270,7 +270,8 @@ CutCells label_cells(std::span<const CutView> views, double voxel_size, const Bi
 
 LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks, int threads) {
   LinkVotes votes;
-  std::array<std::vector<std::uint8_t>, 3> voter;  // the last view that voted for a link
+  constexpr std::size_t kNames = 255;
+  std::array<std::vector<std::uint8_t>, 3> voter;  // name of the last view that voted for a link
   for (auto& v : votes.sums) v.assign(blocks.places(), 0);
   for (auto& v : voter) v.assign(blocks.places(), 0);
   // Every thread goes through all points and counts those of its own blocks.
@@ -279,7 +280,10 @@ LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks,
     const std::uint32_t low = static_cast<std::uint32_t>(first) * CrustBlocks::kBlockVoxels;
     const std::uint32_t high = static_cast<std::uint32_t>(last) * CrustBlocks::kBlockVoxels;
     for (std::size_t i = 0; i < views.size(); ++i) {
-      const auto name = static_cast<std::uint8_t>(i % 255 + 1);
+      if (i > 0 && i % kNames == 0) {
+        for (auto& v : voter) std::fill(v.begin() + low, v.begin() + high, std::uint8_t{0});
+      }
+      const auto name = static_cast<std::uint8_t>(i % kNames + 1);
       views[i].for_each_point([&](const Eigen::Vector3d& q, float confidence) {
         if (!(q.cwiseAbs().maxCoeff() < 1e8)) return;
         const int vote = static_cast<int>(std::lround(std::min(confidence, 1.F) * kVoteSteps));

@@ -130,6 +130,26 @@ TEST(CutViews, APointVotesOncePerViewForTheThreeFacesAroundIt) {
   }
 }
 
+TEST(CutViews, ViewsVoteHoweverManyThereAre) {
+  // Of 600 views the first sees the point, then none for a long time.
+  const CutVolume volume{Eigen::Vector3d::Zero(), 1, {20, 20, 20}};
+  DepthMap map;
+  map.camera = testing::pinhole(3, 3, 50);
+  map.depth = map.confidence = FloatImage(3, 3);
+  map.T_world_camera = Pose(Eigen::Quaterniond::Identity(), Eigen::Vector3d(5.3, 7.1, -20.4));
+  std::vector<DepthMap> maps(600, map);
+  for (const std::size_t i : {0, 255, 510, 511}) {
+    maps[i].depth(1, 1) = 30;
+    maps[i].confidence(1, 1) = 0.5F;
+  }
+  const auto views = views_of(maps, volume);
+  const CrustBlocks blocks(find_points(views, volume, 1).voxels.within_4());
+  for (const int threads : {1, 3}) {
+    const LinkVotes votes = count_votes(views, blocks, threads);
+    EXPECT_EQ(votes.sums[0][blocks.place({5, 7, 10})], 4 * kVoteSteps / 2);
+  }
+}
+
 TEST(CutViews, DistancesAreThoseToThePlane) {
   const Ground ground;
   const CrustBlocks blocks(ground.crust);
