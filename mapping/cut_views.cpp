@@ -151,10 +151,11 @@ class CellRow {
 };
 
 /// Of the views in whose image a point lies, the share that has a depth there.
-double answer_share(std::span<const CutView> views) {
+double answer_share(std::span<const CutView> views, const std::stop_token& stop) {
   constexpr std::size_t kStep = 997;
   std::size_t n = 0, in_view = 0, answered = 0;
   for (const CutView& from : views) {
+    if (stop.stop_requested()) break;
     from.for_each_point([&](const Eigen::Vector3d& q, float) {
       if (++n % kStep != 0) return;
       for (const CutView& view : views) {
@@ -237,12 +238,14 @@ void spread_labels(CutCells& cells, const std::vector<CutLabel>& likely) {
 }  // namespace
 
 CutCells label_cells(std::span<const CutView> views, double voxel_size, const BitGrid& crust,
-                     double outside_share, double inside_share, int threads) {
+                     double outside_share, double inside_share, int threads,
+                     const std::stop_token& stop) {
   CutCells cells{(crust.size().array() + 1) / 2, {}};
-  const LabelRule rule{outside_share, inside_share, answer_share(views)};
+  const LabelRule rule{outside_share, inside_share, answer_share(views, stop)};
   cells.labels.assign(cells.size.cast<std::size_t>().prod(), CutLabel::unknown);
   std::vector<CutLabel> likely(cells.labels.size(), CutLabel::unknown);  // of the open ones
   parallel_rows(cells.size.z(), 1, threads, [&](int first, int last) {
+    if (stop.stop_requested()) return;
     CellRow row(views, cells.size.x(), voxel_size);
     std::vector<std::uint8_t> wanted(static_cast<std::size_t>(cells.size.x()));
     for (int z = first; z < last; ++z) {
@@ -261,14 +264,15 @@ CutCells label_cells(std::span<const CutView> views, double voxel_size, const Bi
       }
     }
   });
-  spread_labels(cells, likely);
+  if (!stop.stop_requested()) spread_labels(cells, likely);
   for (std::size_t i = 0; i < likely.size(); ++i) {
     if (cells.labels[i] == CutLabel::unknown) cells.labels[i] = likely[i];
   }
   return cells;
 }
 
-LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks, int threads) {
+LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks, int threads,
+                      const std::stop_token& stop) {
   LinkVotes votes;
   constexpr std::size_t kNames = 255;
   std::array<std::vector<std::uint8_t>, 3> voter;  // name of the last view that voted for a link
@@ -280,6 +284,7 @@ LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks,
     const std::uint32_t low = static_cast<std::uint32_t>(first) * CrustBlocks::kBlockVoxels;
     const std::uint32_t high = static_cast<std::uint32_t>(last) * CrustBlocks::kBlockVoxels;
     for (std::size_t i = 0; i < views.size(); ++i) {
+      if (stop.stop_requested()) return;
       if (i > 0 && i % kNames == 0) {
         for (auto& v : voter) std::fill(v.begin() + low, v.begin() + high, std::uint8_t{0});
       }
@@ -347,7 +352,8 @@ struct BlockSums {
 }  // namespace
 
 CutDistances measure_distances(std::span<const CutView> views, double voxel_size,
-                               const BitGrid& crust, const CrustBlocks& blocks, int threads) {
+                               const BitGrid& crust, const CrustBlocks& blocks, int threads,
+                               const std::stop_token& stop) {
   constexpr float kBlockRadius = 6.1F;  // of the middles of a block's voxels [voxels]
   CutDistances out;
   out.distance.assign(blocks.places(), 0);
@@ -356,6 +362,7 @@ CutDistances measure_distances(std::span<const CutView> views, double voxel_size
   parallel_rows(static_cast<int>(blocks.blocks()), 64, threads, [&](int first, int last) {
     BlockSums sums;
     std::array<std::uint8_t, 64> rows;
+    if (stop.stop_requested()) return;
     for (int b = std::max(1, first); b < last; ++b) {
       const Eigen::Vector3i& low = blocks.origin(static_cast<std::uint32_t>(b));
       for (int row = 0; row < 64; ++row) {

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <stop_token>
 #include <vector>
 
 #include "corvid/map.h"
@@ -119,9 +120,10 @@ struct CutCells {
 /// Cells of which that says nothing take the label of the nearest cell that has one, counted in
 /// steps that do not cross the crust; cells that none reaches are inside if more views lie behind a
 /// point than see through. Cells that lie wholly in the crust stay unknown.
+/// Asked to stop, it returns early, here and below: what it returns is then of no use.
 [[nodiscard]] CutCells label_cells(std::span<const CutView> views, double voxel_size,
                                    const BitGrid& crust, double outside_share, double inside_share,
-                                   int threads);
+                                   int threads, const std::stop_token& stop = {});
 
 /// Votes for the links between a voxel and the next one along each axis, in steps of 1/kVoteSteps.
 inline constexpr int kVoteSteps = 32;
@@ -132,7 +134,7 @@ struct LinkVotes {
 /// A point votes for the three links (one per axis) that it lies on: those between the voxels
 /// around it. Each view votes once per link, with the point's confidence. Sums saturate at 255.
 [[nodiscard]] LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks,
-                                    int threads);
+                                    int threads, const std::stop_token& stop = {});
 
 /// How far in front of the measured surface the voxels of the crust lie.
 struct CutDistances {
@@ -146,6 +148,6 @@ struct CutDistances {
 /// voxels of the crust.
 [[nodiscard]] CutDistances measure_distances(std::span<const CutView> views, double voxel_size,
                                              const BitGrid& crust, const CrustBlocks& blocks,
-                                             int threads);
+                                             int threads, const std::stop_token& stop = {});
 
 }  // namespace corvid

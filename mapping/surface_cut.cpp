@@ -105,12 +105,13 @@ class Cutter {
     SurfaceCutStatistics& s = out_.statistics;
     if (!begin("labels")) return interrupted();
     const CutCells cells = label_cells(views_, volume_.voxel_size, crust_, options_.outside_share,
-                                       options_.inside_share, threads_);
+                                       options_.inside_share, threads_, control_.stop);
     if (!begin("votes")) return interrupted();
-    LinkVotes votes = count_votes(views_, blocks_, threads_);
+    LinkVotes votes = count_votes(views_, blocks_, threads_, control_.stop);
     if (!begin("distances")) return interrupted();
     const CutDistances distances =
-        measure_distances(views_, volume_.voxel_size, crust_, blocks_, threads_);
+        measure_distances(views_, volume_.voxel_size, crust_, blocks_, threads_, control_.stop);
+    if (control_.stop.stop_requested()) return interrupted();
     const CutEvidence evidence{crust_, cells, blocks_, votes, distances};
     BitGrid solid;
     {
@@ -131,8 +132,9 @@ class Cutter {
     std::vector<const ColourImage*> colours;
     for (const SurfaceCutView& view : maps_) colours.push_back(view.colour);
     if (std::any_of(colours.begin(), colours.end(), [](const auto* c) { return c != nullptr; })) {
-      colour_cut(out_.mesh, volume_, views_, colours, threads_);
+      colour_cut(out_.mesh, volume_, views_, colours, threads_, control_.stop);
     }
+    if (control_.stop.stop_requested()) return interrupted();
     s.mesh_s = 1e-3 * watch.lap_ms();
     return std::move(out_);
   }

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <vector>
@@ -69,6 +70,31 @@ TEST(CutViews, CellsAreLabelledByWhatTheViewsSawAlsoAtTheBorders) {
     }
   }
   for (int x = 0; x < 48; ++x) EXPECT_TRUE(ground.crust.test({x, 47 - x, 23})) << x;
+}
+
+TEST(CutViews, NoStageGoesOnWhenAskedToStop) {
+  const Ground ground;
+  std::stop_source source;
+  source.request_stop();
+  const auto stop = source.get_token();
+  const CutCells cells = label_cells(ground.views, 0.05, ground.crust, 0.4, 0.95, 2, stop);
+  EXPECT_TRUE(std::all_of(cells.labels.begin(), cells.labels.end(),
+                          [](CutLabel label) { return label == CutLabel::unknown; }));
+  const auto nothing = [](const auto& values) {
+    return std::all_of(values.begin(), values.end(), [](int v) { return v == 0; });
+  };
+  const CrustBlocks blocks(ground.crust);
+  EXPECT_TRUE(nothing(count_votes(ground.views, blocks, 2, stop).sums[0]));
+  EXPECT_TRUE(nothing(measure_distances(ground.views, 0.05, ground.crust, blocks, 2, stop).weight));
+  TriangleMesh mesh;
+  mesh.vertices.emplace_back(0.F, 0.F, 0.02F);
+  mesh.normals.emplace_back(0.F, 0.F, 1.F);
+  const ColourImage red(140, 140, {250, 0, 0});
+  const std::vector<const ColourImage*> colours(3, &red);
+  colour_cut(mesh, ground.volume, ground.views, colours, 2, stop);
+  EXPECT_EQ(mesh.colours[0], (Rgb8{128, 128, 128}));
+  colour_cut(mesh, ground.volume, ground.views, colours, 2);
+  EXPECT_EQ(mesh.colours[0], (Rgb8{250, 0, 0}));
 }
 
 TEST(CutViews, WhatNobodySawTakesTheNearestLabel) {
