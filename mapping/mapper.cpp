@@ -340,18 +340,22 @@ struct Mapper::Impl {
             std::move(mesh)};
   }
 
+  /// Meshing looks at neighbours, which the archive may not give back: then these have changed too.
+  /// That ends, since blocks get lost but none are made.
   void show_changes() {
-    const std::vector<BlockIndex> changed = volume->take_changed();
+    std::vector<BlockIndex> changed = volume->take_changed();
     if (!sink || changed.empty()) return;
     Stopwatch watch;
     ++version;
     constexpr int kSliceBlocks = 2;
     Slicer meshed(slice_end, kSliceBlocks);
-    for (const BlockIndex& index : blocks_to_remesh(changed)) {
-      meshed.piece();
-      const MeshBlock block = shown_block(index, mesh_block(*volume, index));
-      if (block.mesh.empty() ? shown.erase(index) == 0 : (shown.insert(index), false)) continue;
-      sink->on_block(block);
+    for (; !changed.empty(); changed = volume->take_changed()) {
+      for (const BlockIndex& index : blocks_to_remesh(changed)) {
+        meshed.piece();
+        const MeshBlock block = shown_block(index, mesh_block(*volume, index));
+        if (block.mesh.empty() ? shown.erase(index) == 0 : (shown.insert(index), false)) continue;
+        sink->on_block(block);
+      }
     }
     sink->on_complete(version);
     timings.emplace_back("mesh", watch.lap_ms());

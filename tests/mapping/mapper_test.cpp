@@ -362,6 +362,26 @@ TEST(Mapper, DepthMapsThatCannotBeReadBackAreGivenUp) {
   }
 }
 
+TEST(Mapper, BlocksLostWhileMeshingAreAnnounced) {
+  // The later keyframes look to the right: beside what they see lies what only the archive has.
+  std::vector<Pose> poses;
+  for (int i = 0; i < 10; ++i) {
+    poses.emplace_back(so3_exp({-0.1, i < 5 ? -0.45 : 0.25, 0}),
+                       Eigen::Vector3d(0.15 * (i % 5), 0.03 * (i % 2), 0.05 * i));
+  }
+  const MapSnapshot map = testing::true_map(room(), testing::pinhole(160, 120, 130), poses);
+  Viewer viewer;
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  const auto mapper = make_mapper(&viewer, 1, archive);
+  mapper->finish(first_keyframes(map, 5));
+  EXPECT_EQ(mapper->statistics().lost_blocks, 0U);
+  archive->broken = true;
+  mapper->finish(map);
+  archive->broken = false;
+  EXPECT_GT(mapper->statistics().lost_blocks, 0U);
+  EXPECT_EQ(viewer.triangles(), mapper->mesh().triangles.size());
+}
+
 TEST(Mapper, WithoutAnArchiveTheBudgetHolds) {
   auto mapper = make_mapper(nullptr, 1);
   mapper->finish(room_map());
