@@ -21,7 +21,8 @@ CutView::CutView(const DepthMap& map, const CutVolume& volume)
       cy_(static_cast<float>(map.camera.cy_px + 0.5)),
       width_(static_cast<float>(stride_)),
       height_(static_cast<float>(rows_)),
-      nearest_(static_cast<float>(1e-3 * volume.voxel_size)) {
+      nearest_(static_cast<float>(1e-3 * volume.voxel_size)),
+      tiles_(map, kTile_px) {
   const Pose T_camera_world = map.T_world_camera.inverse();
   origin_ = (T_camera_world * volume.p_low).cast<float>();
   axes_ = (T_camera_world.rotation().toRotationMatrix() * volume.voxel_size).cast<float>();
@@ -32,36 +33,6 @@ CutView::CutView(const DepthMap& map, const CutVolume& volume)
   unproject(0, 2) = -map.camera.cx_px / map.camera.fx_px;
   unproject(1, 2) = -map.camera.cy_px / map.camera.fy_px;
   rays_ = map.T_world_camera.rotation().toRotationMatrix() * unproject / volume.voxel_size;
-  farthest_ = FloatImage((stride_ + kTile - 1) / kTile, (rows_ + kTile - 1) / kTile);
-  for (int y = 0; y < rows_; ++y) {
-    for (int x = 0; x < stride_; ++x) {
-      float& far = farthest_(x / kTile, y / kTile);
-      far = std::max(far, depth(static_cast<std::ptrdiff_t>(y) * stride_ + x));
-    }
-  }
-}
-
-bool CutView::hides(const Eigen::Vector3f& p_camera, float radius, float margin) const {
-  if (p_camera.z() < -radius) return true;
-  if (p_camera.z() < 2 * radius) return false;
-  // A ball's image reaches at most |offset| / (z - r) farther than its centre's.
-  const float reach = radius / (p_camera.z() - radius);
-  const auto range = [&](float f, float c, float x, int tiles) {
-    const float middle = f * x / p_camera.z() + c;
-    const float wide = (f + std::abs(middle - c)) * reach + 1;
-    const auto tile = [&](float at) {
-      return static_cast<int>(std::floor(std::clamp(at / kTile, -1.F, static_cast<float>(tiles))));
-    };
-    return std::array{std::max(tile(middle - wide), 0), std::min(tile(middle + wide), tiles - 1)};
-  };
-  const auto [left, right] = range(fx_, cx_, p_camera.x(), farthest_.width());
-  const auto [top, bottom] = range(fy_, cy_, p_camera.y(), farthest_.height());
-  for (int y = top; y <= bottom; ++y) {
-    for (int x = left; x <= right; ++x) {
-      if (farthest_(x, y) > 0 && farthest_(x, y) > p_camera.z() - radius - margin) return false;
-    }
-  }
-  return true;
 }
 
 float CutView::smooth_depth(const Eigen::Vector3f& p_camera, std::ptrdiff_t pixel,
@@ -374,7 +345,7 @@ CutDistances measure_distances(std::span<const CutView> views, double voxel_size
       const Eigen::Vector3f middle = low.cast<float>() + Eigen::Vector3f::Constant(3.5F);
       for (const CutView& view : views) {
         const Eigen::Vector3f p = view.origin() + view.axes() * middle;
-        if (!view.hides(p, kBlockRadius * h, CutDistances::kReach * h)) {
+        if (!view.tiles().hides(p, kBlockRadius * h, CutDistances::kReach * h)) {
           sums.add(view, low, h, rows);
         }
       }

@@ -10,6 +10,7 @@
 #include "corvid/map.h"
 #include "mapping/bit_grid.h"
 #include "mapping/crust_blocks.h"
+#include "mapping/depth_tiles.h"
 
 namespace corvid {
 
@@ -52,10 +53,8 @@ class CutView {
   [[nodiscard]] float smooth_depth(const Eigen::Vector3f& p_camera, std::ptrdiff_t pixel,
                                    float reach) const;
 
-  /// Whether all that the view measured around a ball lies more than `margin` in front of it, or
-  /// the ball is out of sight. A quick look that may miss some such balls.
-  /// @param p_camera, radius, margin  [map units].
-  [[nodiscard]] bool hides(const Eigen::Vector3f& p_camera, float radius, float margin) const;
+  /// What lies around a ball, in camera coordinates [map units].
+  [[nodiscard]] const DepthTiles& tiles() const { return tiles_; }
 
   /// Calls with the voxel coordinates and the confidence of every point.
   template <class Call>
@@ -80,9 +79,9 @@ class CutView {
   Eigen::Vector3f origin_;
   Eigen::Matrix3f axes_;
   Eigen::Vector3d centre_;
-  static constexpr int kTile = 8;  ///< [px]
-  FloatImage farthest_;            ///< depth of each tile of kTile x kTile pixels; 0: no answer
-  Eigen::Matrix3d rays_;           ///< from (u, v, 1) to the ray of z = 1 [voxels per map unit]
+  static constexpr int kTile_px = 8;
+  DepthTiles tiles_;
+  Eigen::Matrix3d rays_;  ///< from (u, v, 1) to the ray of z = 1 [voxels per map unit]
 };
 
 /// The voxels that hold a point, and how many points there are in the volume.

@@ -67,7 +67,8 @@ class Mapper {
   /// more.
   [[nodiscard]] double voxel_size() const;
   [[nodiscard]] MapperStatistics statistics() const;
-  /// How long the parts of the last step took: "images", "depth", "clean", "fuse", "mesh".
+  /// How long the parts of the last step took: "images", "depth", "clean", "unfuse", "fuse",
+  /// "mesh".
   [[nodiscard]] const Timings& last_timings() const;
 
  private:

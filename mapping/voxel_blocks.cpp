@@ -6,6 +6,7 @@
 #include <unordered_set>
 
 #include "core/check.h"
+#include "mapping/depth_tiles.h"
 
 namespace corvid {
 namespace {
@@ -192,19 +193,10 @@ BlockIndex block_of(const Eigen::Vector3d& p_world, double block_size, double ha
 class Reach {
  public:
   Reach(const DepthMap& map, const Pose& T_camera_world, double voxel_size, double truncation)
-      : camera_(map.camera),
+      : tiles_(map, kTile_px),
         T_camera_world_(T_camera_world),
         voxel_size_(voxel_size),
-        truncation_(truncation),
-        deepest_((map.depth.width() + kTile - 1) / kTile,
-                 (map.depth.height() + kTile - 1) / kTile) {
-    for (int y = 0; y < map.depth.height(); ++y) {
-      for (int x = 0; x < map.depth.width(); ++x) {
-        float& deepest = deepest_(x / kTile, y / kTile);
-        deepest = std::max(deepest, map.depth(x, y));
-      }
-    }
-  }
+        truncation_(truncation) {}
 
   [[nodiscard]] bool may_reach(const BlockIndex& b) const {
     const double radius = 0.5 * std::sqrt(3.0) * kSide * voxel_size_;
@@ -212,37 +204,15 @@ class Reach {
         T_camera_world_ *
         ((Eigen::Vector3d(b.x, b.y, b.z) * kSide + Eigen::Vector3d::Constant(0.5 * (kSide - 1))) *
          voxel_size_);
-    if (centre.z() < -radius) return false;
-    if (centre.z() < 2 * radius) return true;
-    const double u = camera_.fx_px * centre.x() / centre.z() + camera_.cx_px;
-    const double v = camera_.fy_px * centre.y() / centre.z() + camera_.cy_px;
-    // Generous: a sphere's image reaches at most |offset| / (z - r) farther than its centre's.
-    const double reach = radius / (centre.z() - radius);
-    const double margin_u = (camera_.fx_px + std::abs(u - camera_.cx_px)) * reach + 1;
-    const double margin_v = (camera_.fy_px + std::abs(v - camera_.cy_px)) * reach + 1;
-    if (!(u > -margin_u && v > -margin_v && u < camera_.width_px + margin_u &&
-          v < camera_.height_px + margin_v))
-      return false;
-    const auto tile = [](double at_px, int tiles) {
-      return static_cast<int>(std::clamp(at_px / kTile, 0.0, tiles - 1.0));
-    };
-    const int x_end = tile(u + margin_u, deepest_.width());
-    const int y_end = tile(v + margin_v, deepest_.height());
-    for (int y = tile(v - margin_v, deepest_.height()); y <= y_end; ++y) {
-      for (int x = tile(u - margin_u, deepest_.width()); x <= x_end; ++x) {
-        const double deepest = deepest_(x, y);
-        if (deepest > 0 && centre.z() <= deepest + truncation_ + radius) return true;
-      }
-    }
-    return false;
+    return !tiles_.hides(centre.cast<float>(), static_cast<float>(radius),
+                         static_cast<float>(truncation_));
   }
 
  private:
-  static constexpr int kTile = 16;  // [px]
-  Camera camera_;
+  static constexpr int kTile_px = 16;
+  DepthTiles tiles_;
   Pose T_camera_world_;
   double voxel_size_, truncation_;
-  FloatImage deepest_;  // depth in each tile; 0 without an answer
 };
 
 }  // namespace
