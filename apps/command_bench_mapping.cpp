@@ -99,7 +99,7 @@ Expected<void> measure(const MappingArguments& arguments, std::vector<Opened>& o
     if (report.interrupted) break;
     auto row = score_mapping(device, *scene, stop);
     if (!row) return tl::unexpected(row.error());
-    report.rows.push_back(*row);
+    if (*row) report.rows.push_back(**row);
     report.interrupted = stop.stop_requested();
   }
   return {};

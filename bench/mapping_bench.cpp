@@ -77,6 +77,11 @@ Expected<Prepared> prepare(const std::shared_ptr<Device>& device, DepthSweeper& 
   out.work = &work;
   out.frame = reference.frame;
   out.camera = reference.frame->camera->undistorted();
+  if (!(out.camera == *reference.frame->camera)) {
+    return fail(ErrorCode::invalid_argument,
+                "its lens is distorted, and the timed work does not undistort", work.workload,
+                "give images of a pinhole camera");
+  }
   std::vector<Pose> poses;
   for (const TrueView& view : views) poses.push_back(view.T_world_camera);
   Eigen::Vector3d p_scene;
@@ -179,8 +184,9 @@ Expected<void> time_depth(const std::shared_ptr<Device>& device, PeakMeter& peak
   return {};
 }
 
-Expected<MappingRow> score_mapping(const std::shared_ptr<Device>& device, const MappingScene& scene,
-                                   const std::stop_token& stop) {
+Expected<std::optional<MappingRow>> score_mapping(const std::shared_ptr<Device>& device,
+                                                  const MappingScene& scene,
+                                                  const std::stop_token& stop) {
   MappingOptions options;
   options.depth_scale = 1;
   auto mapper = Mapper::create(device, options, nullptr);
@@ -190,6 +196,7 @@ Expected<MappingRow> score_mapping(const std::shared_ptr<Device>& device, const 
   } catch (const DeviceFault& fault) {
     return fail(ErrorCode::device, fault.what(), device->info().name);
   }
+  if (stop.stop_requested()) return std::nullopt;
   std::vector<std::shared_ptr<const DepthMap>> depth_maps;
   for (const StoredDepth& stored : (*mapper)->depth_maps()) depth_maps.push_back(stored.scaled());
   const DepthScore score = score_depth(scene, depth_maps);

@@ -2,6 +2,7 @@
 
 #include <Eigen/Geometry>
 #include <memory>
+#include <optional>
 #include <stop_token>
 #include <string>
 #include <vector>
@@ -27,23 +28,24 @@ struct DepthWork {
   int depths = 0;  ///< samples of a ray; 0: one per pixel of the longest epipolar segment
 };
 
-/// From images on the host to depth on the host: undistortion, correlation, removal of ambiguous
-/// answers and islands; with a volume the rays' look-up, too. The machine's peak is measured
-/// between the runs. Errors: device; invalid_argument: the view or volume has no neighbours, no
-/// voxel size gives so many rays.
+/// From images on the host to depth on the host: the view's upload, correlation, removal of
+/// ambiguous answers and islands; with a volume the rays' look-up, too. The neighbours' images are
+/// on the device already. The machine's peak is measured between the runs. Errors: device;
+/// invalid_argument: the lens is distorted (nothing here undistorts), the view or volume has no
+/// neighbours, no voxel size gives so many rays.
 [[nodiscard]] Expected<void> time_depth(const std::shared_ptr<Device>& device, PeakMeter& peak,
                                         const std::vector<DepthWork>& works, int runs,
                                         const std::stop_token& stop, MappingReport& report);
 
-/// Depth maps of all views that get one from the mapping stage, with true poses, against truth.
-/// Errors: device.
-[[nodiscard]] Expected<MappingRow> score_mapping(const std::shared_ptr<Device>& device,
-                                                 const MappingScene& scene,
-                                                 const std::stop_token& stop);
+/// Depth maps of all views that get one from the mapping stage, with true poses, against truth;
+/// nothing if it was asked to stop. Errors: device.
+[[nodiscard]] Expected<std::optional<MappingRow>> score_mapping(
+    const std::shared_ptr<Device>& device, const MappingScene& scene, const std::stop_token& stop);
 
-/// The minimal surface of calibrated views in a volume cut into so many voxels, from depth maps of
-/// all views made beforehand; `seconds` holds votes, graph, maximum flow and mesh. Errors: of
-/// depth_of_stills() and cut_surface().
+/// The minimal surface of calibrated views in a volume cut into so many voxels, from depth maps
+/// made beforehand (`views`: how many have one). `seconds` is the time of cut_stills() as a whole:
+/// the choice of the points that two views agree on, labels, votes, graph, maximum flow, mesh, and
+/// the vertices' colours. Errors: of depth_of_stills() and cut_surface().
 [[nodiscard]] Expected<void> time_snapshots(const std::shared_ptr<Device>& device,
                                             const MappingScene& scene,
                                             const Eigen::AlignedBox3d& volume,

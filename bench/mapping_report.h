@@ -13,7 +13,7 @@ namespace corvid {
 struct MappingRow {
   std::string workload;
   std::optional<double> rays;            ///< of one view
-  std::optional<int> views;              ///< compared with a view, or depth maps scored
+  std::optional<int> views;              ///< compared with a view, or depth maps used
   std::optional<int> depths;             ///< samples of a ray
   std::optional<double> seconds;         ///< median wall time of one view
   std::optional<double> cpu_s;           ///< mean processor time of it, all threads

@@ -88,8 +88,11 @@ DepthScore score_depth(const MappingScene& scene,
     }
   }
   if (known > 0) score.answered = answers / known;
-  if (answers > 0) score.within_1 = good_1 / answers, score.within_2 = good_2 / answers;
-  score.median_error_m = median(std::move(errors_m));
+  if (answers > 0) {
+    score.within_1 = good_1 / answers;
+    score.within_2 = good_2 / answers;
+    score.median_error_m = median(std::move(errors_m));
+  }
   return score;
 }
 

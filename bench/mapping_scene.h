@@ -1,5 +1,7 @@
 #pragma once
 
+#include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -28,12 +30,12 @@ struct MappingScene {
 /// @pre every view has depth.
 [[nodiscard]] MapSnapshot true_map(const MappingScene& scene, int landmarks_per_view = 200);
 
-/// Depth against truth, over all pixels that have both.
+/// Depth against truth, over all pixels that have both. Absent: there are none.
 struct DepthScore {
-  double answered = 0;        ///< of the pixels with truth
-  double within_1 = 0;        ///< of the answers: relative error below 1 %
-  double within_2 = 0;        ///< below 2 %
-  double median_error_m = 0;  ///< absolute
+  std::optional<double> answered;        ///< of the pixels with truth
+  std::optional<double> within_1;        ///< of the answers: relative error below 1 %
+  std::optional<double> within_2;        ///< below 2 %
+  std::optional<double> median_error_m;  ///< absolute
   int maps = 0;
 };
 

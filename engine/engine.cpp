@@ -346,15 +346,7 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
     }
     result.mesh = mapper->mesh();
     result.voxel_size = mapper->voxel_size();
-    result.depth_maps = mapper->depth_maps();
-    // Depth was estimated at earlier poses; what is handed out fits the final map.
-    auto depth_map = result.depth_maps.begin();
-    for (const auto& keyframe : result.map->keyframes) {
-      while (depth_map != result.depth_maps.end() && depth_map->keyframe < keyframe->id)
-        ++depth_map;
-      if (depth_map != result.depth_maps.end() && depth_map->keyframe == keyframe->id)
-        depth_map->T_world_camera = keyframe->T_world_camera;
-    }
+    result.depth_maps = mapper->depth_maps(*result.map);
     const MapperStatistics statistics = mapper->statistics();
     result.notes.push_back(fmt::format(
         "Mapping: {} depth maps ({:.0f} % of the rays answered), {} keyframes without an "
@@ -367,6 +359,11 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
           "The depth maps made no surface: most likely voxels of {:.3g} map units do not fit the "
           "scene; `mapping.voxel_size = 0` chooses a size that does.",
           result.voxel_size));
+    if (statistics.lost_depth_maps > 0)
+      result.notes.push_back(fmt::format(
+          "{} depth maps could not be read back from the archive: their surface stays where it "
+          "was fused last.",
+          statistics.lost_depth_maps));
     if (statistics.lost_blocks > 0)
       result.notes.push_back(fmt::format(
           "{} voxel blocks were lost for want of room: mapping.memory_mb = {}, mapping.disk_mb = "

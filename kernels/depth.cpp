@@ -23,6 +23,9 @@ constexpr float kFirstTolerance = 3, kTolerance = 1;
 constexpr int kFirstReach = 3;  ///< samples to either side in the first pass around the surface
 constexpr int kMaxTemplate_px = 2 * kPadding - 1;
 
+/// The layers of a sweep at half the resolution.
+int coarse_samples(int samples) { return std::max(3, (samples + 1) / 2); }
+
 int round_up(int n, int step) { return (n + step - 1) / step * step; }
 int row_length(int width_px) { return round_up(width_px, kPadding); }
 int pitch_of(int width_px) { return row_length(width_px) + 3 * kPadding; }
@@ -201,9 +204,10 @@ void DepthSweeper::load(const SweepRequest& request, bool half, const Grid& grid
     fill(*image, grid.elements(), nan, lane);
   }
   for (Buffer<float>* image :
-       {&surface_, &slant_x_, &slant_y_, &support_, &inverse_, &score_, &lead_, &guess_}) {
+       {&surface_, &slant_x_, &slant_y_, &support_, &inverse_, &score_, &guess_}) {
     fill(*image, grid.elements(), 0, lane);
   }
+  fill(lead_, grid.elements(), 1, lane);  // rows without whole windows know of no other peak
   set_arguments(kernels_.reference_grey, level(*request.reference).quads, grid.width, grid.height,
                 grid.pitch, grey_.cl());
   launch_rows(*device_, lane, kernels_.reference_grey, grid.width, grid.height);
@@ -299,6 +303,18 @@ void DepthSweeper::pass(const Grid& grid, int neighbours, int reach, double step
   launch(*device_, lane, kernels_.pick, grid.row / vector_, grid.height);
 }
 
+double DepthSweeper::scores_at_once(int width_px, int height_px, std::size_t neighbours,
+                                    int samples, bool coarse_to_fine) const {
+  const auto layer = [&](int width, int height) {
+    return static_cast<double>(row_length(width)) * height * static_cast<double>(neighbours);
+  };
+  const double refining = layer(width_px, height_px) * (2 * kFirstReach + 1);
+  const int w = width_px / 2, h = height_px / 2;
+  const double sweeping = coarse_to_fine && can_halve(w, h) ? layer(w, h) * coarse_samples(samples)
+                                                            : layer(width_px, height_px) * samples;
+  return std::max(sweeping, refining);
+}
+
 SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
   CORVID_CHECK(request.reference, "a reference image is needed");
   const Grid fine = grid_of(request.reference->full), coarse = grid_of(request.reference->half);
@@ -308,6 +324,10 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
   CORVID_CHECK(request.samples >= 3 && request.samples <= 4096, "3 to 4096 depth samples");
   CORVID_CHECK(request.near > 0 && request.near < request.far && std::isfinite(request.far),
                "0 < near < far");
+  const bool in_steps = request.coarse_to_fine && request.refinements > 0;
+  CORVID_CHECK(scores_at_once(fine.width, fine.height, request.neighbours.size(), request.samples,
+                              in_steps) <= kMostScores,
+               "fewer rays, neighbours or samples");
   for (const SweepNeighbour& n : request.neighbours) {
     CORVID_CHECK(
         n.image && n.image->full.width_px == fine.width && n.image->full.height_px == fine.height,
@@ -317,14 +337,13 @@ SweepResult DepthSweeper::estimate(const SweepRequest& request, Lane lane) {
                      FloatImage(fine.width, fine.height)};
   if (m < options_.min_views) return result;
 
-  const bool halve = request.coarse_to_fine && request.refinements > 0 &&
-                     std::min(coarse.width, coarse.height) >= 2 * options_.template_px;
+  const bool halve = in_steps && can_halve(coarse.width, coarse.height);
   const double inverse_far = 1 / request.far, range = 1 / request.near - inverse_far;
   const double step = range / (request.samples - 1);
   scores_ = 0;
   on_device("depth", [&] {
     if (halve) {
-      const int samples = std::max(3, (request.samples + 1) / 2);
+      const int samples = coarse_samples(request.samples);
       const double coarse_step = range / (samples - 1);
       load(request, true, coarse, lane);
       sweep(coarse, m, surface_, inverse_far, coarse_step, samples, lane);

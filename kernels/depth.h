@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <memory>
 #include <span>
 #include <string>
@@ -76,8 +78,14 @@ class DepthSweeper {
   /// The camera of an image reduced by prepare().
   [[nodiscard]] static Camera scaled(const Camera& camera, int scale);
 
-  /// @pre images not smaller than the template, at least 3 samples, at least min_views neighbours
-  ///      (else every ray is without an answer).
+  /// Scores that estimate() holds at a time. The kernels count them in 32 bits: no more than
+  /// kMostScores of them can be.
+  [[nodiscard]] double scores_at_once(int width_px, int height_px, std::size_t neighbours,
+                                      int samples, bool coarse_to_fine = true) const;
+  static constexpr double kMostScores = 2147483647;
+
+  /// @pre images not smaller than the template, at least 3 samples, no more than kMostScores, at
+  ///      least min_views neighbours (else every ray is without an answer).
   [[nodiscard]] SweepResult estimate(const SweepRequest& request, Lane lane = Lane::mapping);
 
  private:
@@ -91,6 +99,10 @@ class DepthSweeper {
     [[nodiscard]] std::size_t elements() const;
   };
   [[nodiscard]] static Grid grid_of(const SweepImage::Level& level);
+  /// Whether the sweep can be at half the resolution.
+  [[nodiscard]] bool can_halve(int coarse_width, int coarse_height) const {
+    return std::min(coarse_width, coarse_height) >= 2 * options_.template_px;
+  }
   DepthSweeper(std::shared_ptr<Device> device, const DepthSweepOptions& options, Kernels kernels);
   void fill(Buffer<float>& buffer, std::size_t size, float value, Lane lane);
   [[nodiscard]] SweepImage::Level reduce(const DeviceImage& image, int scale, Lane lane);

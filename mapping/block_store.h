@@ -52,7 +52,6 @@ class BlockStore {
   [[nodiscard]] std::vector<BlockIndex> indices() const;
   [[nodiscard]] std::size_t size() const { return blocks_.size(); }
   [[nodiscard]] std::size_t in_memory() const { return in_memory_; }
-  [[nodiscard]] std::uint64_t archived_bytes() const { return archived_bytes_; }
   /// Blocks lost since the last call.
   [[nodiscard]] std::vector<BlockIndex> take_lost();
   [[nodiscard]] std::uint64_t lost() const { return lost_count_; }

@@ -4,21 +4,42 @@
 
 namespace corvid {
 
-CrustBlocks::CrustBlocks(const BitGrid& voxels)
-    : grid_((voxels.size().array() + kBlockSide - 1) / kBlockSide) {
-  block_at_.assign(grid_.cast<std::size_t>().prod(), 0);
+namespace {
+
+Eigen::Vector3i blocks_along(const BitGrid& voxels) {
+  return (voxels.size().array() + CrustBlocks::kBlockSide - 1) / CrustBlocks::kBlockSide;
+}
+
+/// Calls with the position in the grid of blocks and the lowest voxel of each that is needed.
+template <class Call>
+void for_each_block(const BitGrid& voxels, Call&& call) {
+  const Eigen::Vector3i grid = blocks_along(voxels);
   std::size_t at = 0;
-  for (int z = 0; z < grid_.z(); ++z) {
-    for (int y = 0; y < grid_.y(); ++y) {
-      for (int x = 0; x < grid_.x(); ++x, ++at) {
-        const Eigen::Vector3i low = kBlockSide * Eigen::Vector3i(x, y, z);
-        if (!voxels.any_in_block(low)) continue;
-        block_at_[at] = blocks();
-        origin_.push_back(low);
+  for (int z = 0; z < grid.z(); ++z) {
+    for (int y = 0; y < grid.y(); ++y) {
+      for (int x = 0; x < grid.x(); ++x, ++at) {
+        const Eigen::Vector3i low = CrustBlocks::kBlockSide * Eigen::Vector3i(x, y, z);
+        if (voxels.any_in_block(low)) call(at, low);
       }
     }
   }
-  CORVID_CHECK(places() <= UINT32_MAX, "the blocks must have fewer than 2^32 voxels");
+}
+
+}  // namespace
+
+std::size_t CrustBlocks::count_places(const BitGrid& voxels) {
+  std::size_t blocks = 1;
+  for_each_block(voxels, [&](std::size_t, const Eigen::Vector3i&) { ++blocks; });
+  return blocks * kBlockVoxels;
+}
+
+CrustBlocks::CrustBlocks(const BitGrid& voxels) : grid_(blocks_along(voxels)) {
+  block_at_.assign(grid_.cast<std::size_t>().prod(), 0);
+  for_each_block(voxels, [&](std::size_t at, const Eigen::Vector3i& low) {
+    block_at_[at] = blocks();
+    origin_.push_back(low);
+  });
+  CORVID_CHECK(places() <= kMostPlaces, "the blocks must have fewer than 2^32 voxels");
   neighbours_.resize(origin_.size());
   for (std::uint32_t b = 1; b < blocks(); ++b) {
     for (int d = 0; d < 6; ++d) {

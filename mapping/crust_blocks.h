@@ -19,7 +19,11 @@ class CrustBlocks {
   static constexpr std::uint32_t kBlockVoxels = 512;
   static constexpr std::uint32_t kNone = kBlockVoxels;
 
-  /// @pre fewer than 2^32 voxels in blocks.
+  static constexpr std::size_t kMostPlaces = UINT32_MAX;
+  /// places() of the blocks of a box of voxels.
+  [[nodiscard]] static std::size_t count_places(const BitGrid& voxels);
+
+  /// @pre count_places(voxels) <= kMostPlaces.
   explicit CrustBlocks(const BitGrid& voxels);
   CrustBlocks() = default;
 

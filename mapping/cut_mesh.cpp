@@ -304,7 +304,8 @@ TriangleMesh mesh_cut(const CutLabels& labels, int smoothing, double min_island,
 }
 
 void colour_cut(TriangleMesh& mesh, const CutVolume& volume, std::span<const CutView> views,
-                std::span<const ColourImage* const> colours, int threads) {
+                std::span<const ColourImage* const> colours, int threads,
+                const std::stop_token& stop) {
   mesh.colours.assign(mesh.vertices.size(), Rgb8{128, 128, 128});
   constexpr float kReach = 2.5F;         // of the depth around the vertex [voxels]
   constexpr float kLeastCosine = 0.15F;  // seen more slanted than that, a view is not asked
@@ -339,6 +340,7 @@ void colour_cut(TriangleMesh& mesh, const CutVolume& volume, std::span<const Cut
   constexpr std::size_t kBand = 4096;
   const auto bands = static_cast<int>((mesh.vertices.size() + kBand - 1) / kBand);
   parallel_rows(bands, 1, threads, [&](int first, int last) {
+    if (stop.stop_requested()) return;
     const std::size_t end = std::min(mesh.vertices.size(), static_cast<std::size_t>(last) * kBand);
     for (std::size_t i = static_cast<std::size_t>(first) * kBand; i < end; ++i) colour_one(i);
   });

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <span>
+#include <stop_token>
 
 #include "corvid/mesh_stream.h"
 #include "mapping/cut_views.h"
@@ -31,10 +32,11 @@ struct CutLabels {
                                     bool closed, int threads);
 
 /// Colours the vertices from the views that see them, the more frontal ones more; grey where none
-/// does.
+/// does, or where it was asked to stop.
 /// @param colours  one per view; of the size of its depth map, or null.
 void colour_cut(TriangleMesh& mesh, const CutVolume& volume, std::span<const CutView> views,
-                std::span<const ColourImage* const> colours, int threads);
+                std::span<const ColourImage* const> colours, int threads,
+                const std::stop_token& stop = {});
 
 /// Sides of faces that no other face runs along exactly once in the opposite direction; 0 for a
 /// closed and oriented surface without edges of more than two faces.

@@ -21,7 +21,8 @@ CutView::CutView(const DepthMap& map, const CutVolume& volume)
       cy_(static_cast<float>(map.camera.cy_px + 0.5)),
       width_(static_cast<float>(stride_)),
       height_(static_cast<float>(rows_)),
-      nearest_(static_cast<float>(1e-3 * volume.voxel_size)) {
+      nearest_(static_cast<float>(1e-3 * volume.voxel_size)),
+      tiles_(map, kTile_px) {
   const Pose T_camera_world = map.T_world_camera.inverse();
   origin_ = (T_camera_world * volume.p_low).cast<float>();
   axes_ = (T_camera_world.rotation().toRotationMatrix() * volume.voxel_size).cast<float>();
@@ -32,36 +33,6 @@ CutView::CutView(const DepthMap& map, const CutVolume& volume)
   unproject(0, 2) = -map.camera.cx_px / map.camera.fx_px;
   unproject(1, 2) = -map.camera.cy_px / map.camera.fy_px;
   rays_ = map.T_world_camera.rotation().toRotationMatrix() * unproject / volume.voxel_size;
-  farthest_ = FloatImage((stride_ + kTile - 1) / kTile, (rows_ + kTile - 1) / kTile);
-  for (int y = 0; y < rows_; ++y) {
-    for (int x = 0; x < stride_; ++x) {
-      float& far = farthest_(x / kTile, y / kTile);
-      far = std::max(far, depth(static_cast<std::ptrdiff_t>(y) * stride_ + x));
-    }
-  }
-}
-
-bool CutView::hides(const Eigen::Vector3f& p_camera, float radius, float margin) const {
-  if (p_camera.z() < -radius) return true;
-  if (p_camera.z() < 2 * radius) return false;
-  // A ball's image reaches at most |offset| / (z - r) farther than its centre's.
-  const float reach = radius / (p_camera.z() - radius);
-  const auto range = [&](float f, float c, float x, int tiles) {
-    const float middle = f * x / p_camera.z() + c;
-    const float wide = (f + std::abs(middle - c)) * reach + 1;
-    const auto tile = [&](float at) {
-      return static_cast<int>(std::floor(std::clamp(at / kTile, -1.F, static_cast<float>(tiles))));
-    };
-    return std::array{std::max(tile(middle - wide), 0), std::min(tile(middle + wide), tiles - 1)};
-  };
-  const auto [left, right] = range(fx_, cx_, p_camera.x(), farthest_.width());
-  const auto [top, bottom] = range(fy_, cy_, p_camera.y(), farthest_.height());
-  for (int y = top; y <= bottom; ++y) {
-    for (int x = left; x <= right; ++x) {
-      if (farthest_(x, y) > 0 && farthest_(x, y) > p_camera.z() - radius - margin) return false;
-    }
-  }
-  return true;
 }
 
 float CutView::smooth_depth(const Eigen::Vector3f& p_camera, std::ptrdiff_t pixel,
@@ -151,10 +122,11 @@ class CellRow {
 };
 
 /// Of the views in whose image a point lies, the share that has a depth there.
-double answer_share(std::span<const CutView> views) {
+double answer_share(std::span<const CutView> views, const std::stop_token& stop) {
   constexpr std::size_t kStep = 997;
   std::size_t n = 0, in_view = 0, answered = 0;
   for (const CutView& from : views) {
+    if (stop.stop_requested()) break;
     from.for_each_point([&](const Eigen::Vector3d& q, float) {
       if (++n % kStep != 0) return;
       for (const CutView& view : views) {
@@ -199,26 +171,36 @@ bool covered(const BitGrid& crust, int x, int y, int z) {
 void spread_labels(CutCells& cells, const std::vector<CutLabel>& likely) {
   const auto sx = static_cast<std::size_t>(cells.size.x());
   const std::size_t sy = sx * static_cast<std::size_t>(cells.size.y());
+  const auto open = [&](std::size_t i) {
+    return likely[i] != CutLabel::unknown && cells.labels[i] == CutLabel::unknown;
+  };
+  const auto for_each_open_neighbour = [&](std::size_t i, auto&& call) {
+    const auto visit = [&](bool there, std::size_t j) {
+      if (there && open(j)) call(j);
+    };
+    const std::size_t x = i % sx, y = i % sy / sx;
+    visit(x > 0, i - 1);
+    visit(x + 1 < sx, i + 1);
+    visit(y > 0, i - sx);
+    visit(i % sy + sx < sy, i + sx);
+    visit(i >= sy, i - sy);
+    visit(i + sy < cells.labels.size(), i + sy);
+  };
+  // Only cells at the border of what is labelled: there are few of them.
   std::vector<std::size_t> front, next;
   for (std::size_t i = 0; i < cells.labels.size(); ++i) {
-    if (cells.labels[i] != CutLabel::unknown) front.push_back(i);
+    if (cells.labels[i] == CutLabel::unknown) continue;
+    bool at_border = false;
+    for_each_open_neighbour(i, [&](std::size_t) { at_border = true; });
+    if (at_border) front.push_back(i);
   }
   while (!front.empty()) {
     next.clear();
     for (const std::size_t i : front) {
-      const auto offer = [&](bool there, std::size_t j) {
-        if (!there || likely[j] == CutLabel::unknown || cells.labels[j] != CutLabel::unknown)
-          return;
+      for_each_open_neighbour(i, [&](std::size_t j) {
         cells.labels[j] = cells.labels[i];
         next.push_back(j);
-      };
-      const std::size_t x = i % sx, y = i % sy / sx;
-      offer(x > 0, i - 1);
-      offer(x + 1 < sx, i + 1);
-      offer(y > 0, i - sx);
-      offer(i % sy + sx < sy, i + sx);
-      offer(i >= sy, i - sy);
-      offer(i + sy < cells.labels.size(), i + sy);
+      });
     }
     front.swap(next);
   }
@@ -227,12 +209,14 @@ void spread_labels(CutCells& cells, const std::vector<CutLabel>& likely) {
 }  // namespace
 
 CutCells label_cells(std::span<const CutView> views, double voxel_size, const BitGrid& crust,
-                     double outside_share, double inside_share, int threads) {
+                     double outside_share, double inside_share, int threads,
+                     const std::stop_token& stop) {
   CutCells cells{(crust.size().array() + 1) / 2, {}};
-  const LabelRule rule{outside_share, inside_share, answer_share(views)};
+  const LabelRule rule{outside_share, inside_share, answer_share(views, stop)};
   cells.labels.assign(cells.size.cast<std::size_t>().prod(), CutLabel::unknown);
   std::vector<CutLabel> likely(cells.labels.size(), CutLabel::unknown);  // of the open ones
   parallel_rows(cells.size.z(), 1, threads, [&](int first, int last) {
+    if (stop.stop_requested()) return;
     CellRow row(views, cells.size.x(), voxel_size);
     std::vector<std::uint8_t> wanted(static_cast<std::size_t>(cells.size.x()));
     for (int z = first; z < last; ++z) {
@@ -251,16 +235,18 @@ CutCells label_cells(std::span<const CutView> views, double voxel_size, const Bi
       }
     }
   });
-  spread_labels(cells, likely);
+  if (!stop.stop_requested()) spread_labels(cells, likely);
   for (std::size_t i = 0; i < likely.size(); ++i) {
     if (cells.labels[i] == CutLabel::unknown) cells.labels[i] = likely[i];
   }
   return cells;
 }
 
-LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks, int threads) {
+LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks, int threads,
+                      const std::stop_token& stop) {
   LinkVotes votes;
-  std::array<std::vector<std::uint8_t>, 3> voter;  // the last view that voted for a link
+  constexpr std::size_t kNames = 255;
+  std::array<std::vector<std::uint8_t>, 3> voter;  // name of the last view that voted for a link
   for (auto& v : votes.sums) v.assign(blocks.places(), 0);
   for (auto& v : voter) v.assign(blocks.places(), 0);
   // Every thread goes through all points and counts those of its own blocks.
@@ -269,7 +255,11 @@ LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks,
     const std::uint32_t low = static_cast<std::uint32_t>(first) * CrustBlocks::kBlockVoxels;
     const std::uint32_t high = static_cast<std::uint32_t>(last) * CrustBlocks::kBlockVoxels;
     for (std::size_t i = 0; i < views.size(); ++i) {
-      const auto name = static_cast<std::uint8_t>(i % 255 + 1);
+      if (stop.stop_requested()) return;
+      if (i > 0 && i % kNames == 0) {
+        for (auto& v : voter) std::fill(v.begin() + low, v.begin() + high, std::uint8_t{0});
+      }
+      const auto name = static_cast<std::uint8_t>(i % kNames + 1);
       views[i].for_each_point([&](const Eigen::Vector3d& q, float confidence) {
         if (!(q.cwiseAbs().maxCoeff() < 1e8)) return;
         const int vote = static_cast<int>(std::lround(std::min(confidence, 1.F) * kVoteSteps));
@@ -333,7 +323,8 @@ struct BlockSums {
 }  // namespace
 
 CutDistances measure_distances(std::span<const CutView> views, double voxel_size,
-                               const BitGrid& crust, const CrustBlocks& blocks, int threads) {
+                               const BitGrid& crust, const CrustBlocks& blocks, int threads,
+                               const std::stop_token& stop) {
   constexpr float kBlockRadius = 6.1F;  // of the middles of a block's voxels [voxels]
   CutDistances out;
   out.distance.assign(blocks.places(), 0);
@@ -342,6 +333,7 @@ CutDistances measure_distances(std::span<const CutView> views, double voxel_size
   parallel_rows(static_cast<int>(blocks.blocks()), 64, threads, [&](int first, int last) {
     BlockSums sums;
     std::array<std::uint8_t, 64> rows;
+    if (stop.stop_requested()) return;
     for (int b = std::max(1, first); b < last; ++b) {
       const Eigen::Vector3i& low = blocks.origin(static_cast<std::uint32_t>(b));
       for (int row = 0; row < 64; ++row) {
@@ -353,7 +345,7 @@ CutDistances measure_distances(std::span<const CutView> views, double voxel_size
       const Eigen::Vector3f middle = low.cast<float>() + Eigen::Vector3f::Constant(3.5F);
       for (const CutView& view : views) {
         const Eigen::Vector3f p = view.origin() + view.axes() * middle;
-        if (!view.hides(p, kBlockRadius * h, CutDistances::kReach * h)) {
+        if (!view.tiles().hides(p, kBlockRadius * h, CutDistances::kReach * h)) {
           sums.add(view, low, h, rows);
         }
       }

@@ -4,11 +4,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <stop_token>
 #include <vector>
 
 #include "corvid/map.h"
 #include "mapping/bit_grid.h"
 #include "mapping/crust_blocks.h"
+#include "mapping/depth_tiles.h"
 
 namespace corvid {
 
@@ -51,10 +53,8 @@ class CutView {
   [[nodiscard]] float smooth_depth(const Eigen::Vector3f& p_camera, std::ptrdiff_t pixel,
                                    float reach) const;
 
-  /// Whether all that the view measured around a ball lies more than `margin` in front of it, or
-  /// the ball is out of sight. A quick look that may miss some such balls.
-  /// @param p_camera, radius, margin  [map units].
-  [[nodiscard]] bool hides(const Eigen::Vector3f& p_camera, float radius, float margin) const;
+  /// What lies around a ball, in camera coordinates [map units].
+  [[nodiscard]] const DepthTiles& tiles() const { return tiles_; }
 
   /// Calls with the voxel coordinates and the confidence of every point.
   template <class Call>
@@ -79,9 +79,9 @@ class CutView {
   Eigen::Vector3f origin_;
   Eigen::Matrix3f axes_;
   Eigen::Vector3d centre_;
-  static constexpr int kTile = 8;  ///< [px]
-  FloatImage farthest_;            ///< depth of each tile of kTile x kTile pixels; 0: no answer
-  Eigen::Matrix3d rays_;           ///< from (u, v, 1) to the ray of z = 1 [voxels per map unit]
+  static constexpr int kTile_px = 8;
+  DepthTiles tiles_;
+  Eigen::Matrix3d rays_;  ///< from (u, v, 1) to the ray of z = 1 [voxels per map unit]
 };
 
 /// The voxels that hold a point, and how many points there are in the volume.
@@ -119,9 +119,10 @@ struct CutCells {
 /// Cells of which that says nothing take the label of the nearest cell that has one, counted in
 /// steps that do not cross the crust; cells that none reaches are inside if more views lie behind a
 /// point than see through. Cells that lie wholly in the crust stay unknown.
+/// Asked to stop, it returns early, here and below: what it returns is then of no use.
 [[nodiscard]] CutCells label_cells(std::span<const CutView> views, double voxel_size,
                                    const BitGrid& crust, double outside_share, double inside_share,
-                                   int threads);
+                                   int threads, const std::stop_token& stop = {});
 
 /// Votes for the links between a voxel and the next one along each axis, in steps of 1/kVoteSteps.
 inline constexpr int kVoteSteps = 32;
@@ -132,7 +133,7 @@ struct LinkVotes {
 /// A point votes for the three links (one per axis) that it lies on: those between the voxels
 /// around it. Each view votes once per link, with the point's confidence. Sums saturate at 255.
 [[nodiscard]] LinkVotes count_votes(std::span<const CutView> views, const CrustBlocks& blocks,
-                                    int threads);
+                                    int threads, const std::stop_token& stop = {});
 
 /// How far in front of the measured surface the voxels of the crust lie.
 struct CutDistances {
@@ -146,6 +147,6 @@ struct CutDistances {
 /// voxels of the crust.
 [[nodiscard]] CutDistances measure_distances(std::span<const CutView> views, double voxel_size,
                                              const BitGrid& crust, const CrustBlocks& blocks,
-                                             int threads);
+                                             int threads, const std::stop_token& stop = {});
 
 }  // namespace corvid

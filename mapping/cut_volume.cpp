@@ -75,17 +75,6 @@ double percentile(std::vector<double>& values, double share) {
   return *at;
 }
 
-CutVolume volume_of(const Eigen::AlignedBox3d& box, double voxel_size) {
-  constexpr double kMost = 1e9;  // what is more does not fit in memory either
-  const Eigen::Array3d voxels =
-      (box.sizes().array() / voxel_size - 1e-6).ceil().max(1.0).min(kMost);
-  CutVolume out;
-  out.voxel_size = voxel_size;
-  out.size = voxels.cast<int>();
-  out.p_low = box.center().array() - 0.5 * voxel_size * (voxels - 1);
-  return out;
-}
-
 }  // namespace
 
 Expected<void> check_cut(std::span<const SurfaceCutView> views, const SurfaceCutOptions& options) {
@@ -123,8 +112,8 @@ Expected<void> check_cut(std::span<const SurfaceCutView> views, const SurfaceCut
   return {};
 }
 
-Expected<CutVolume> choose_volume(std::span<const SurfaceCutView> views,
-                                  const SurfaceCutOptions& options) {
+Expected<WantedVolume> choose_volume(std::span<const SurfaceCutView> views,
+                                     const SurfaceCutOptions& options) {
   Eigen::AlignedBox3d box = options.box.value_or(Eigen::AlignedBox3d());
   double voxel_size = options.voxel_size;
   if (!options.box || voxel_size == 0) {
@@ -151,24 +140,25 @@ Expected<CutVolume> choose_volume(std::span<const SurfaceCutView> views,
     return fail(ErrorCode::invalid_argument, "the points lie at distances that are not finite",
                 kWhere);
   }
-  const CutVolume volume = volume_of(box, voxel_size);
-  if (volume.size.minCoeff() < 2) {
+  if (volume_of(box, voxel_size).size.minCoeff() < 2) {
     return fail(ErrorCode::invalid_argument,
                 fmt::format("the volume of {:.4g} x {:.4g} x {:.4g} is less than two voxels of "
                             "{:.4g} along an axis",
                             box.sizes().x(), box.sizes().y(), box.sizes().z(), voxel_size),
                 kWhere, "smaller voxels; are both in the unit of the depth maps?");
   }
-  constexpr double kFarthest = 1e5;
-  const double far = std::max(box.min().cwiseAbs().maxCoeff(), box.max().cwiseAbs().maxCoeff());
-  if (far > kFarthest * voxel_size && volume.size.maxCoeff() < kFarthest) {
-    return fail(ErrorCode::invalid_argument,
-                fmt::format("the volume lies {:.3g} voxels from the origin: vertices are kept as "
-                            "floats, which are too coarse beyond {:.0g} voxels",
-                            far / voxel_size, kFarthest),
-                kWhere, "move the origin of the world nearer, or take larger voxels");
-  }
-  return volume;
+  return WantedVolume{box, voxel_size};
+}
+
+CutVolume volume_of(const Eigen::AlignedBox3d& box, double voxel_size) {
+  constexpr double kMost = 1e9;
+  const Eigen::Array3d voxels =
+      (box.sizes().array() / voxel_size - 1e-6).ceil().max(1.0).min(kMost);
+  CutVolume out;
+  out.voxel_size = voxel_size;
+  out.size = voxels.cast<int>();
+  out.p_low = box.center().array() - 0.5 * voxel_size * (voxels - 1);
+  return out;
 }
 
 Eigen::AlignedBox3d box_of(const CutVolume& volume) {
@@ -176,8 +166,16 @@ Eigen::AlignedBox3d box_of(const CutVolume& volume) {
   return {low, low + volume.voxel_size * volume.size.cast<double>()};
 }
 
-CutVolume coarser(const CutVolume& volume, double factor) {
-  return volume_of(box_of(volume), volume.voxel_size * factor);
+Expected<void> check_place(const CutVolume& volume) {
+  constexpr double kFarthest = 1e5;
+  const Eigen::AlignedBox3d box = box_of(volume);
+  const double far = std::max(box.min().cwiseAbs().maxCoeff(), box.max().cwiseAbs().maxCoeff());
+  if (far <= kFarthest * volume.voxel_size) return {};
+  return fail(ErrorCode::invalid_argument,
+              fmt::format("the volume lies {:.3g} voxels from the origin: vertices are kept as "
+                          "floats, which are too coarse beyond {:.0g} voxels",
+                          far / volume.voxel_size, kFarthest),
+              kWhere, "move the origin of the world nearer, or take larger voxels");
 }
 
 double dense_bytes(const CutVolume& volume, int threads) {
@@ -197,6 +195,15 @@ Error too_large(const CutVolume& volume, double bytes, std::size_t max_bytes) {
       kWhere,
       "larger voxels, a smaller volume or more memory for it; is the voxel size in the unit of "
       "the depth maps?"};
+}
+
+Error too_many(const CutVolume& volume, std::size_t places) {
+  return Error{ErrorCode::invalid_argument,
+               fmt::format("a volume of {} x {} x {} voxels of {:.4g} has {:.1f} thousand million "
+                           "of them near points, more than 4.2",
+                           volume.size.x(), volume.size.y(), volume.size.z(), volume.voxel_size,
+                           1e-9 * static_cast<double>(places)),
+               kWhere, "larger voxels or a smaller volume"};
 }
 
 }  // namespace corvid

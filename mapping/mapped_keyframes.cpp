@@ -72,6 +72,26 @@ const MappedKeyframe* MappedKeyframes::find(KeyframeId id) const {
   return it == keyframes_.end() ? nullptr : &it->second;
 }
 
+std::vector<StoredDepth> MappedKeyframes::depth_maps(const MapSnapshot& map) const {
+  std::vector<StoredDepth> out;
+  auto now = map.keyframes.begin();
+  for (const auto& [id, entry] : keyframes_) {
+    out.push_back(entry.depth);
+    while (now != map.keyframes.end() && (*now)->id < id) ++now;
+    if (now == map.keyframes.end() || (*now)->id != id) continue;
+    out.back().T_world_camera = (*now)->T_world_camera;
+    out.back().scale *= growth_since(entry, map, **now);
+  }
+  return out;
+}
+
+void MappedKeyframes::drop(KeyframeId id) {
+  const auto it = keyframes_.find(id);
+  if (it == keyframes_.end()) return;
+  moved_.erase({it->second.motion, id});
+  keyframes_.erase(it);
+}
+
 void MappedKeyframes::forget_fused() {
   for (auto& [id, entry] : keyframes_) entry.fused.reset();
   segment_.reset();

@@ -49,6 +49,9 @@ class MappedKeyframes {
   /// nullptr if it has no depth.
   [[nodiscard]] const MappedKeyframe* find(KeyframeId id) const;
   [[nodiscard]] const std::map<KeyframeId, MappedKeyframe>& all() const { return keyframes_; }
+  /// Copies of the depth maps with the poses and the unit of length of `map`, where it has them.
+  [[nodiscard]] std::vector<StoredDepth> depth_maps(const MapSnapshot& map) const;
+  void drop(KeyframeId id);
   /// Nothing is in the voxel map any more.
   void forget_fused();
 

@@ -218,22 +218,21 @@ struct Mapper::Impl {
     if (std::min(depth->camera.width_px, depth->camera.height_px) < options.template_px) {
       return std::nullopt;
     }
-    // The kernels count the elements of their volumes in 32 bits.
-    const double elements = (depth->camera.width_px + 64.0) * (depth->camera.height_px + 32.0) *
-                            options.neighbours * std::max(0.125 * options.depth_samples, 7.0);
-    if (elements > 2e9) {
-      log().warn(
-          "keyframe {}: no depth: {:.0f} elements are too many for one sweep; raise "
-          "mapping.depth_scale",
-          keyframe.id.value, elements);
-      return std::nullopt;
-    }
     const double near = scene.near / kRangeMargin, far = scene.far * kRangeMargin;
     ViewChoiceOptions choice;
     choice.neighbours = options.neighbours;
     choice.focal_px = depth->camera.fx_px;
     choice.inverse_depth_step = (1 / near - 1 / far) / (options.depth_samples - 1);
     const std::vector<Neighbour> chosen = choose_neighbours(map, index, choice);
+    if (sweeper.scores_at_once(depth->camera.width_px, depth->camera.height_px, chosen.size(),
+                               options.depth_samples) > DepthSweeper::kMostScores) {
+      log().warn(
+          "keyframe {}: no depth: {} x {} rays with {} neighbours are too many for one sweep; "
+          "raise "
+          "mapping.depth_scale",
+          keyframe.id.value, depth->camera.width_px, depth->camera.height_px, chosen.size());
+      return std::nullopt;
+    }
 
     const auto reference = images.sweep_image(keyframe, lens, sweeper);
     if (!reference) return std::nullopt;
@@ -287,10 +286,14 @@ struct Mapper::Impl {
     if (!move) return false;
     end_slice();
     MappedKeyframe& entry = *move->keyframe;
+    const auto depth = entry.depth.scaled();
+    if (depth->depth.empty()) {
+      give_up(entry.depth.keyframe);
+      return true;
+    }
     if (entry.fused) {
       Stopwatch watch;
-      volume->unfuse(*entry.fused, *entry.depth.scaled(),
-                     images.colours(*entry.frame->load(), entry.lens));
+      volume->unfuse(*entry.fused, *depth, images.colours(*entry.frame->load(), entry.lens));
       entry.fused.reset();
       timings.emplace_back("unfuse", watch.lap_ms());
       counts.refusions += move->wanted;
@@ -302,6 +305,15 @@ struct Mapper::Impl {
       show_changes();
     }
     return true;
+  }
+
+  /// Of a keyframe whose depth map cannot be read back. What is in the volume of it stays there:
+  /// nobody knows any more what that is.
+  void give_up(KeyframeId id) {
+    log().warn("keyframe {}: its depth map is lost; its surface no longer follows its pose",
+               id.value);
+    ++counts.lost_depth_maps;
+    mapped.drop(id);
   }
 
   void grow(MappedKeyframe& entry) {
@@ -328,18 +340,22 @@ struct Mapper::Impl {
             std::move(mesh)};
   }
 
+  /// Meshing looks at neighbours, which the archive may not give back: then these have changed too.
+  /// That ends, since blocks get lost but none are made.
   void show_changes() {
-    const std::vector<BlockIndex> changed = volume->take_changed();
+    std::vector<BlockIndex> changed = volume->take_changed();
     if (!sink || changed.empty()) return;
     Stopwatch watch;
     ++version;
     constexpr int kSliceBlocks = 2;
     Slicer meshed(slice_end, kSliceBlocks);
-    for (const BlockIndex& index : blocks_to_remesh(changed)) {
-      meshed.piece();
-      const MeshBlock block = shown_block(index, mesh_block(*volume, index));
-      if (block.mesh.empty() ? shown.erase(index) == 0 : (shown.insert(index), false)) continue;
-      sink->on_block(block);
+    for (; !changed.empty(); changed = volume->take_changed()) {
+      for (const BlockIndex& index : blocks_to_remesh(changed)) {
+        meshed.piece();
+        const MeshBlock block = shown_block(index, mesh_block(*volume, index));
+        if (block.mesh.empty() ? shown.erase(index) == 0 : (shown.insert(index), false)) continue;
+        sink->on_block(block);
+      }
     }
     sink->on_complete(version);
     timings.emplace_back("mesh", watch.lap_ms());
@@ -380,10 +396,8 @@ TriangleMesh Mapper::mesh() const {
   return impl_->volume ? mesh_all(*impl_->volume) : TriangleMesh{};
 }
 
-std::vector<StoredDepth> Mapper::depth_maps() const {
-  std::vector<StoredDepth> out;
-  for (const auto& [id, entry] : impl_->mapped.all()) out.push_back(entry.depth);
-  return out;
+std::vector<StoredDepth> Mapper::depth_maps(const MapSnapshot& map) const {
+  return impl_->mapped.depth_maps(map);
 }
 
 double Mapper::voxel_size() const { return impl_->volume ? impl_->volume->voxel_size() : 0; }

@@ -25,6 +25,7 @@ struct MapperStatistics {
   std::uint64_t blocks = 0;            ///< voxel blocks there are now
   std::uint64_t blocks_in_memory = 0;  ///< of those
   std::uint64_t lost_blocks = 0;       ///< for which neither memory nor the archive had room
+  std::uint64_t lost_depth_maps = 0;   ///< that the archive did not give back
   double answered = 0;                 ///< mean share of rays with depth, of the depth maps
 };
 
@@ -58,14 +59,16 @@ class Mapper {
 
   /// The whole surface, vertices on the borders of blocks welded.
   [[nodiscard]] TriangleMesh mesh() const;
-  /// By keyframe, each at the pose of its estimate.
-  [[nodiscard]] std::vector<StoredDepth> depth_maps() const;
+  /// By keyframe, where and as large as `map` has them by now, whether fused there or not; those
+  /// that it does not have: at the pose of their estimate.
+  [[nodiscard]] std::vector<StoredDepth> depth_maps(const MapSnapshot& map = {}) const;
   /// [map units]; 0 until the first keyframes have shown how large the scene is. Without a fixed
   /// options.voxel_size it follows the typical depth of the scene in steps of a factor of 2 or
   /// more.
   [[nodiscard]] double voxel_size() const;
   [[nodiscard]] MapperStatistics statistics() const;
-  /// How long the parts of the last step took: "images", "depth", "clean", "fuse", "mesh".
+  /// How long the parts of the last step took: "images", "depth", "clean", "unfuse", "fuse",
+  /// "mesh".
   [[nodiscard]] const Timings& last_timings() const;
 
  private:

@@ -10,7 +10,7 @@ namespace corvid {
 
 struct MesherOptions {
   /// Observed weight that a voxel needs to take part in the surface; one sharp, frontal, confident
-  /// observation weighs VoxelBlocks::kMaxWeight.
+  /// observation weighs Voxel::kMaxWeight.
   std::uint32_t min_weight = 8;
 };
 

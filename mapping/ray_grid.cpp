@@ -34,8 +34,6 @@ Eigen::Vector3i VoxelGrid::size() const {
   return count.cast<int>().cwiseMax(1);
 }
 
-double VoxelGrid::voxels() const { return size().cast<double>().prod(); }
-
 std::vector<GridRay> far_side_rays(const VoxelGrid& grid, const Camera& camera,
                                    const Pose& T_world_camera) {
   std::vector<GridRay> rays;

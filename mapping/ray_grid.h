@@ -18,7 +18,6 @@ struct VoxelGrid {
   double voxel_size = 0;    ///< [map units], > 0
 
   [[nodiscard]] Eigen::Vector3i size() const;  ///< voxels along each axis
-  [[nodiscard]] double voxels() const;
 };
 
 /// The ray through the centre of a voxel of a far side.

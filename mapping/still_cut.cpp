@@ -1,5 +1,6 @@
 #include "mapping/still_cut.h"
 
+#include <optional>
 #include <vector>
 
 #include "kernels/warp.h"
@@ -23,12 +24,15 @@ Expected<SurfaceCut> cut_stills(std::span<const StillView> views,
                                 int min_views) {
   std::vector<DepthMap> maps;
   std::vector<ColourImage> colours;
+  std::optional<WarpMap> to_map;
   for (std::size_t i = 0; i < depths.size(); ++i) {
     if (!depths[i].refusal.empty()) continue;
     maps.push_back(agreed_depth(depths[i], min_views));
-    const Camera& lens = *views[i].frame->camera;
-    const auto map = WarpMap::between(lens, maps.back().camera, Eigen::Matrix3d::Identity());
-    colours.push_back(remap_colours(*views[i].frame, lens, map));
+    const Camera& lens = *views[i].frame->camera;  // the same of all
+    if (!to_map) {
+      to_map = WarpMap::between(lens, maps.back().camera, Eigen::Matrix3d::Identity());
+    }
+    colours.push_back(remap_colours(*views[i].frame, lens, *to_map));
   }
   std::vector<SurfaceCutView> seen;
   for (std::size_t i = 0; i < maps.size(); ++i) {

@@ -1,5 +1,7 @@
 #include "mapping/still_depth.h"
 
+#include <fmt/format.h>
+
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
@@ -48,25 +50,33 @@ struct Stills {
     return poses[i] * Eigen::Vector3d(0, 0, z);
   }
 
-  /// Fills map, samples and answered.
+  /// Fills map, samples and answered; or refusal.
   void estimate(std::size_t i, const std::vector<Neighbour>& chosen, ViewImages& images,
                 StillDepth& out) {
     DepthMap& map = out.map;
     map.camera = images.camera_of(lens);
-    const auto reference = images.sweep_image(*keyframes[i], lens, sweeper);
-    std::vector<std::shared_ptr<const SweepImage>> held;
-    std::vector<SweepNeighbour> views;
     std::vector<Pose> T;
-    for (const Neighbour& n : chosen) {
-      held.push_back(images.sweep_image(*keyframes[n.index], lens, sweeper));
-      T.push_back(poses[n.index].inverse() * poses[i]);
-      views.push_back({held.back().get(), map.camera, T.back()});
-    }
+    for (const Neighbour& n : chosen) T.push_back(poses[n.index].inverse() * poses[i]);
     // The scores of half the resolution and half the samples, 2 bytes each.
     const double per_sample = 0.125 * map.camera.width_px * map.camera.height_px *
                               static_cast<double>(std::max<std::size_t>(chosen.size(), 1));
     out.samples = std::min(depth_samples(map.camera, T, out.interval),
                            std::max(16, static_cast<int>(kMaxScores / per_sample)));
+    if (sweeper.scores_at_once(map.camera.width_px, map.camera.height_px, chosen.size(),
+                               out.samples) > DepthSweeper::kMostScores) {
+      out.refusal = fmt::format(
+          "{} x {} rays with {} neighbours are too many for one sweep: take a larger --scale or "
+          "fewer --neighbours",
+          map.camera.width_px, map.camera.height_px, chosen.size());
+      return;
+    }
+    const auto reference = images.sweep_image(*keyframes[i], lens, sweeper);
+    std::vector<std::shared_ptr<const SweepImage>> held;
+    std::vector<SweepNeighbour> views;
+    for (std::size_t n = 0; n < chosen.size(); ++n) {
+      held.push_back(images.sweep_image(*keyframes[chosen[n].index], lens, sweeper));
+      views.push_back({held.back().get(), map.camera, T[n]});
+    }
     SweepResult result = sweeper.estimate({reference.get(), map.camera, views, out.interval.near,
                                            out.interval.far, out.samples, true, kRefinements});
     map.depth = std::move(result.depth);
@@ -114,10 +124,12 @@ StillDepth depth_of(Stills& stills, std::size_t i) {
     if (!(z > 0)) return refuse("it looks away from what the others look at");
     out.interval = {z / kFirstRange, z * kFirstRange};
     stills.estimate(i, chosen, stills.coarse, out);
+    if (!out.refusal.empty()) return refuse(out.refusal);
     if (out.answered < kMinAnswered) return refuse("no depth that its neighbours agree on");
     out.interval = interval_of(out.map.depth);
   }
   stills.estimate(i, chosen, stills.fine, out);
+  if (!out.refusal.empty()) return refuse(out.refusal);
   if (out.answered < kMinAnswered) return refuse("no depth that its neighbours agree on");
   return out;
 }

@@ -99,18 +99,19 @@ class Cutter {
          const SurfaceCutControl& control, int threads)
       : maps_(views), options_(options), control_(control), threads_(threads) {}
 
-  Expected<SurfaceCut> run(const CutVolume& wanted) {
+  Expected<SurfaceCut> run(const WantedVolume& wanted) {
     Stopwatch watch;
     if (auto found = find_crust(wanted); !found) return tl::unexpected(found.error());
     SurfaceCutStatistics& s = out_.statistics;
     if (!begin("labels")) return interrupted();
     const CutCells cells = label_cells(views_, volume_.voxel_size, crust_, options_.outside_share,
-                                       options_.inside_share, threads_);
+                                       options_.inside_share, threads_, control_.stop);
     if (!begin("votes")) return interrupted();
-    LinkVotes votes = count_votes(views_, blocks_, threads_);
+    LinkVotes votes = count_votes(views_, blocks_, threads_, control_.stop);
     if (!begin("distances")) return interrupted();
     const CutDistances distances =
-        measure_distances(views_, volume_.voxel_size, crust_, blocks_, threads_);
+        measure_distances(views_, volume_.voxel_size, crust_, blocks_, threads_, control_.stop);
+    if (control_.stop.stop_requested()) return interrupted();
     const CutEvidence evidence{crust_, cells, blocks_, votes, distances};
     BitGrid solid;
     {
@@ -131,8 +132,9 @@ class Cutter {
     std::vector<const ColourImage*> colours;
     for (const SurfaceCutView& view : maps_) colours.push_back(view.colour);
     if (std::any_of(colours.begin(), colours.end(), [](const auto* c) { return c != nullptr; })) {
-      colour_cut(out_.mesh, volume_, views_, colours, threads_);
+      colour_cut(out_.mesh, volume_, views_, colours, threads_, control_.stop);
     }
+    if (control_.stop.stop_requested()) return interrupted();
     s.mesh_s = 1e-3 * watch.lap_ms();
     return std::move(out_);
   }
@@ -140,33 +142,37 @@ class Cutter {
  private:
   /// The voxels near points, in the wanted volume or, where memory does not do and the options say
   /// so, in the finest one that fits.
-  Expected<void> find_crust(const CutVolume& wanted) {
+  Expected<void> find_crust(const WantedVolume& wanted) {
     SurfaceCutStatistics& s = out_.statistics;
     const auto most = static_cast<double>(options_.max_bytes);
-    for (volume_ = wanted;;) {
+    for (volume_ = volume_of(wanted.box, wanted.voxel_size);;) {
       if (!begin("points")) return interrupted();
       double bytes = dense_bytes(volume_, threads_);
+      std::size_t places = 0;
       if (bytes <= most) {
         views_.clear();
         for (const SurfaceCutView& map : maps_) views_.emplace_back(*map.depth, volume_);
         const PointVoxels points = find_points(views_, volume_, threads_);
         if (points.points == 0) return no_points();
         crust_ = points.voxels.within_4();
-        blocks_ = CrustBlocks(crust_);
+        places = CrustBlocks::count_places(crust_);
         // The flow with its queues, votes, distances.
         constexpr std::size_t kPlaceBytes = GridFlow::kVoxelBytes + 4 + 3 + 2;
-        bytes += static_cast<double>(kPlaceBytes * blocks_.places());
+        bytes += static_cast<double>(kPlaceBytes * places);
         s.points = points.points;
       }
       s.peak_bytes = static_cast<std::uint64_t>(bytes);
-      if (bytes <= most) break;
+      if (bytes <= most && places <= CrustBlocks::kMostPlaces) break;
       constexpr double kFactor = 1.26;  // half as many voxels
-      const CutVolume next = coarser(volume_, kFactor);
+      const CutVolume next = volume_of(wanted.box, kFactor * volume_.voxel_size);
       if (!options_.coarsen || next.size.minCoeff() < 2) {
-        return tl::unexpected(too_large(volume_, bytes, options_.max_bytes));
+        return tl::unexpected(bytes <= most ? too_many(volume_, places)
+                                            : too_large(volume_, bytes, options_.max_bytes));
       }
       volume_ = next;
     }
+    if (auto ok = check_place(volume_); !ok) return ok;
+    blocks_ = CrustBlocks(crust_);
     s.voxels = static_cast<std::uint64_t>(volume_.size.cast<std::int64_t>().prod());
     s.crust_voxels = crust_.count();
     out_.voxel_size = volume_.voxel_size;

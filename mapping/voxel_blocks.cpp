@@ -6,6 +6,7 @@
 #include <unordered_set>
 
 #include "core/check.h"
+#include "mapping/depth_tiles.h"
 
 namespace corvid {
 namespace {
@@ -50,21 +51,60 @@ FloatImage ray_weights(const DepthMap& map, double full_weight_depth) {
   return weights;
 }
 
+Rgb8 mean_of(const Voxel& voxel) {
+  const std::uint64_t weight = std::max<std::uint64_t>(voxel.sum_colour_weight, 1);
+  return {static_cast<std::uint8_t>(voxel.sum_red / weight),
+          static_cast<std::uint8_t>(voxel.sum_green / weight),
+          static_cast<std::uint8_t>(voxel.sum_blue / weight)};
+}
+
+void add_colour(Voxel& out, int weight, const Rgb8& c) {
+  out.sum_colour_weight += static_cast<std::uint32_t>(weight);
+  out.sum_red += static_cast<std::uint32_t>(weight * c.r);
+  out.sum_green += static_cast<std::uint32_t>(weight * c.g);
+  out.sum_blue += static_cast<std::uint32_t>(weight * c.b);
+}
+
+/// The weight exactly, and the sums too unless some colour was not known: they stay sums of colours
+/// of the weight that is left.
+void take_colour(Voxel& out, int weight, const Rgb8& c) {
+  const int left = std::max(static_cast<int>(out.sum_colour_weight) - weight, 0);
+  const auto rest = [&](std::uint64_t sum, int level) {
+    return static_cast<std::uint32_t>(
+        std::clamp(static_cast<int>(sum) - weight * level, 0, 255 * left));
+  };
+  out.sum_colour_weight = static_cast<std::uint32_t>(left);
+  out.sum_red = rest(out.sum_red, c.r);
+  out.sum_green = rest(out.sum_green, c.g);
+  out.sum_blue = rest(out.sum_blue, c.b);
+}
+
+void check_sizes(const DepthMap& map, const ColourImage& colour) {
+  CORVID_CHECK(
+      map.confidence.width() == map.depth.width() && map.confidence.height() == map.depth.height(),
+      "depth and confidence must have one size");
+  CORVID_CHECK(colour.empty() ||
+                   (colour.width() == map.depth.width() && colour.height() == map.depth.height()),
+               "colour must have the size of the depth map");
+}
+
 /// Everything that the inner loop needs, in floats of camera coordinates.
 struct Projector {
   const FloatImage& depth;
   const FloatImage& weights;
   const ColourImage& colour;
+  bool coloured;  ///< colours take part; where `colour` is empty all the same, they are not known
   float fx, fy, cx, cy;
   float truncation, thin;  ///< [map units]; `thin`: behind this, weight falls to 0 at -truncation
   Eigen::Matrix3f R_camera_world;
   double voxel_size;
 
   Projector(const DepthMap& map, const FloatImage& ray_weight, const ColourImage& image,
-            const Pose& T_camera_world, double voxel, double trunc)
+            bool has_colour, const Pose& T_camera_world, double voxel, double trunc)
       : depth(map.depth),
         weights(ray_weight),
         colour(image),
+        coloured(has_colour),
         fx(static_cast<float>(map.camera.fx_px)),
         fy(static_cast<float>(map.camera.fy_px)),
         cx(static_cast<float>(map.camera.cx_px)),
@@ -93,7 +133,6 @@ Said integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex&
   const Eigen::Vector3f dy = p.R_camera_world.col(1) * voxel;
   const Eigen::Vector3f dz = p.R_camera_world.col(2) * voxel;
   const int width = p.depth.width(), height = p.depth.height();
-  const bool coloured = !p.colour.empty();
   const float x_limit = static_cast<float>(width) - 0.5F;
   const float y_limit = static_cast<float>(height) - 0.5F;
   Said said;
@@ -126,13 +165,13 @@ Said integrate(const Projector& p, const Pose& T_camera_world, const BlockIndex&
         said.surface = said.surface || !free;
         out.sum_distance += sign * step;
         out.sum_weight += static_cast<std::uint32_t>(sign * w);
-        if (coloured && std::abs(distance) < 0.5F * p.truncation) {
-          const Rgb8& c = p.colour(px, py);
-          const int cw = sign * ((w + kColourShare - 1) / kColourShare);
-          out.sum_colour_weight += static_cast<std::uint32_t>(cw);
-          out.sum_red += static_cast<std::uint32_t>(cw * c.r);
-          out.sum_green += static_cast<std::uint32_t>(cw * c.g);
-          out.sum_blue += static_cast<std::uint32_t>(cw * c.b);
+        if (p.coloured && std::abs(distance) < 0.5F * p.truncation) {
+          const int colour_weight = (w + kColourShare - 1) / kColourShare;
+          if (sign > 0) {
+            add_colour(out, colour_weight, p.colour(px, py));
+          } else {
+            take_colour(out, colour_weight, p.colour.empty() ? mean_of(out) : p.colour(px, py));
+          }
         }
       }
     }
@@ -154,19 +193,10 @@ BlockIndex block_of(const Eigen::Vector3d& p_world, double block_size, double ha
 class Reach {
  public:
   Reach(const DepthMap& map, const Pose& T_camera_world, double voxel_size, double truncation)
-      : camera_(map.camera),
+      : tiles_(map, kTile_px),
         T_camera_world_(T_camera_world),
         voxel_size_(voxel_size),
-        truncation_(truncation),
-        deepest_((map.depth.width() + kTile - 1) / kTile,
-                 (map.depth.height() + kTile - 1) / kTile) {
-    for (int y = 0; y < map.depth.height(); ++y) {
-      for (int x = 0; x < map.depth.width(); ++x) {
-        float& deepest = deepest_(x / kTile, y / kTile);
-        deepest = std::max(deepest, map.depth(x, y));
-      }
-    }
-  }
+        truncation_(truncation) {}
 
   [[nodiscard]] bool may_reach(const BlockIndex& b) const {
     const double radius = 0.5 * std::sqrt(3.0) * kSide * voxel_size_;
@@ -174,37 +204,15 @@ class Reach {
         T_camera_world_ *
         ((Eigen::Vector3d(b.x, b.y, b.z) * kSide + Eigen::Vector3d::Constant(0.5 * (kSide - 1))) *
          voxel_size_);
-    if (centre.z() < -radius) return false;
-    if (centre.z() < 2 * radius) return true;
-    const double u = camera_.fx_px * centre.x() / centre.z() + camera_.cx_px;
-    const double v = camera_.fy_px * centre.y() / centre.z() + camera_.cy_px;
-    // Generous: a sphere's image reaches at most |offset| / (z - r) farther than its centre's.
-    const double reach = radius / (centre.z() - radius);
-    const double margin_u = (camera_.fx_px + std::abs(u - camera_.cx_px)) * reach + 1;
-    const double margin_v = (camera_.fy_px + std::abs(v - camera_.cy_px)) * reach + 1;
-    if (!(u > -margin_u && v > -margin_v && u < camera_.width_px + margin_u &&
-          v < camera_.height_px + margin_v))
-      return false;
-    const auto tile = [](double at_px, int tiles) {
-      return static_cast<int>(std::clamp(at_px / kTile, 0.0, tiles - 1.0));
-    };
-    const int x_end = tile(u + margin_u, deepest_.width());
-    const int y_end = tile(v + margin_v, deepest_.height());
-    for (int y = tile(v - margin_v, deepest_.height()); y <= y_end; ++y) {
-      for (int x = tile(u - margin_u, deepest_.width()); x <= x_end; ++x) {
-        const double deepest = deepest_(x, y);
-        if (deepest > 0 && centre.z() <= deepest + truncation_ + radius) return true;
-      }
-    }
-    return false;
+    return !tiles_.hides(centre.cast<float>(), static_cast<float>(radius),
+                         static_cast<float>(truncation_));
   }
 
  private:
-  static constexpr int kTile = 16;  // [px]
-  Camera camera_;
+  static constexpr int kTile_px = 16;
+  DepthTiles tiles_;
   Pose T_camera_world_;
   double voxel_size_, truncation_;
-  FloatImage deepest_;  // depth in each tile; 0 without an answer
 };
 
 }  // namespace
@@ -254,16 +262,13 @@ std::vector<BlockIndex> VoxelBlocks::blocks_on_surface(const DepthMap& map,
 FusedView VoxelBlocks::fuse(const DepthMap& map, const ColourImage& colour,
                             const Pose& T_world_camera) {
   CORVID_CHECK(T_world_camera.finite(), "pose must be finite");
-  CORVID_CHECK(
-      map.confidence.width() == map.depth.width() && map.confidence.height() == map.depth.height(),
-      "depth and confidence must have one size");
-  CORVID_CHECK(colour.empty() ||
-                   (colour.width() == map.depth.width() && colour.height() == map.depth.height()),
-               "colour must have the size of the depth map");
-  FusedView view{T_world_camera, {}};
+  FusedView view{T_world_camera, {}, !colour.empty()};
+  if (map.depth.empty()) return view;
+  check_sizes(map, colour);
   const FloatImage weights = ray_weights(map, kFullWeightVoxels * voxel_size_);
   const Pose T_camera_world = T_world_camera.inverse();
-  const Projector projector(map, weights, colour, T_camera_world, voxel_size_, truncation());
+  const Projector projector(map, weights, colour, view.coloured, T_camera_world, voxel_size_,
+                            truncation());
   // Blocks with a surface in this view, and those that are there and may be seen as free space.
   std::vector<BlockIndex> in_view = blocks_on_surface(map, T_world_camera);
   const Reach reach(map, T_camera_world, voxel_size_, truncation());
@@ -293,9 +298,12 @@ FusedView VoxelBlocks::fuse(const DepthMap& map, const ColourImage& colour,
 }
 
 void VoxelBlocks::unfuse(const FusedView& view, const DepthMap& map, const ColourImage& colour) {
+  if (map.depth.empty()) return;
+  check_sizes(map, colour);
   const FloatImage weights = ray_weights(map, kFullWeightVoxels * voxel_size_);
   const Pose T_camera_world = view.T_world_camera.inverse();
-  const Projector projector(map, weights, colour, T_camera_world, voxel_size_, truncation());
+  const Projector projector(map, weights, colour, view.coloured, T_camera_world, voxel_size_,
+                            truncation());
   Slicer written(slice_end_, kSliceBlocks);
   for (const auto& [index, serial] : view.blocks) {
     written.piece();

@@ -22,6 +22,7 @@ struct FusedView {
   Pose T_world_camera;  ///< with which it was fused
   std::vector<std::pair<BlockIndex, std::uint32_t>>
       blocks;  ///< that it was written to, and serials
+  bool coloured = false;
 };
 
 /// A truncated signed distance function (Curless and Levoy 1996) in hashed blocks of 8x8x8 voxels.
@@ -48,12 +49,15 @@ class VoxelBlocks {
                        std::shared_ptr<Archive> archive = nullptr, const SliceEnd& slice_end = {});
 
   /// Adds a depth map, seen from `T_world_camera` (not from depth_map.T_world_camera).
+  /// An empty depth map changes nothing.
   /// @param colour  of the size of the depth image, or empty.
   [[nodiscard]] FusedView fuse(const DepthMap& depth_map, const ColourImage& colour,
                                const Pose& T_world_camera);
-  /// Takes out what fuse() added, exactly; the same depth map and colour must be given. Blocks that
-  /// were lost in the meantime are skipped. Blocks left without a view that measured a surface
-  /// in them are removed, also if others saw them as free space.
+  /// Takes out what fuse() added, exactly; the same depth map and colour must be given. Where the
+  /// colour is no longer to be had (empty), the mean colour of what is there is taken out; a colour
+  /// that was not put in stays out. Blocks that were lost in the meantime are skipped. Blocks left
+  /// without a view that measured a surface in them are removed, also if others saw them as free
+  /// space. Without the depth map (empty) nothing can be taken out.
   void unfuse(const FusedView& view, const DepthMap& depth_map, const ColourImage& colour);
 
   /// Blocks changed, made or removed since the last call, sorted.

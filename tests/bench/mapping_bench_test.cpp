@@ -48,14 +48,30 @@ std::shared_ptr<const DepthMap> depth_map(const MappingScene& scene, float facto
 TEST(MappingBench, DepthIsScoredAgainstTruth) {
   const MappingScene scene = wall(3);
   const DepthScore exact = score_depth(scene, {depth_map(scene, 1)});
-  EXPECT_NEAR(exact.answered, 0.75, 0.01);
+  EXPECT_NEAR(exact.answered.value(), 0.75, 0.01);
   EXPECT_EQ(exact.within_1, 1);
-  EXPECT_NEAR(exact.median_error_m, 0, 1e-6);
+  EXPECT_NEAR(exact.median_error_m.value(), 0, 1e-6);
   const DepthScore off = score_depth(scene, {depth_map(scene, 1.015F)});
   EXPECT_EQ(off.within_1, 0);
   EXPECT_EQ(off.within_2, 1);
-  EXPECT_GT(off.median_error_m, 0.03);
-  EXPECT_EQ(score_depth(scene, {}).answered, 0);
+  EXPECT_GT(off.median_error_m.value(), 0.03);
+  EXPECT_FALSE(score_depth(scene, {}).answered.has_value());
+  const DepthScore none = score_depth(scene, {depth_map(scene, 0)});
+  EXPECT_EQ(none.answered, 0);
+  EXPECT_FALSE(none.within_1 || none.within_2 || none.median_error_m);
+}
+
+TEST(MappingBench, AScoreIsOfTheWholeMapOrNone) {
+  const auto device = Device::open("auto").value();
+  const auto row = score_mapping(device, wall(5), {});
+  ASSERT_TRUE(row.has_value() && row->has_value());
+  EXPECT_EQ((*row)->views, 5);
+  EXPECT_GT((*row)->within_2.value(), 0.9);
+  std::stop_source stop;
+  stop.request_stop();
+  const auto stopped = score_mapping(device, wall(5), stop.get_token());
+  ASSERT_TRUE(stopped.has_value());
+  EXPECT_FALSE(stopped->has_value());
 }
 
 TEST(MappingBench, TheTrueMapIsSeenByTheViewsThatSeeIt) {
@@ -103,6 +119,18 @@ TEST(MappingBench, AVolumeThatNobodySeesIsAnError) {
   EXPECT_FALSE(time_depth(device, peak, {{"behind", &scene, 2, behind, 5000, 0}}, 1, {}, report));
   const MappingScene few = wall(3);
   EXPECT_FALSE(time_depth(device, peak, {{"few", &few, 1, {}, 0, 48}}, 1, {}, report));
+  MappingScene bent = scene;
+  Camera lens = *scene.views[0].frame->camera;
+  lens.model = CameraModel::radtan;
+  lens.distortion = {-0.2, 0.05, 0, 0, 0};
+  for (TrueView& view : bent.views) {
+    auto frame = std::make_shared<Frame>(*view.frame);
+    frame->camera = std::make_shared<const Camera>(lens);
+    view.frame = frame;
+  }
+  const auto refused = time_depth(device, peak, {{"bent", &bent, 2, {}, 0, 48}}, 1, {}, report);
+  ASSERT_FALSE(refused.has_value());
+  EXPECT_THAT(refused.error().to_string(), HasSubstr("distorted"));
 }
 
 TEST(MappingBench, SnapshotsAreTimedAndFoundClosed) {
@@ -112,6 +140,9 @@ TEST(MappingBench, SnapshotsAreTimedAndFoundClosed) {
   for (const StillView& view : testing::ball_views(7)) {
     scene.views.push_back({view.frame, view.T_world_camera, {}});
   }
+  scene.views.push_back(scene.views[3]);  // looks away: no depth map
+  scene.views.back().T_world_camera =
+      scene.views[3].T_world_camera * Pose(so3_exp({0, 3.1, 0}), Eigen::Vector3d::Zero());
   const Eigen::AlignedBox3d volume(Eigen::Vector3d(-0.9, -0.9, 2.1), Eigen::Vector3d(0.9, 0.9, 3));
   MappingReport report;
   const auto done = time_snapshots(device, scene, volume, {3e4, 2e5}, 1, {}, report);
@@ -120,6 +151,7 @@ TEST(MappingBench, SnapshotsAreTimedAndFoundClosed) {
   EXPECT_NEAR(report.rows[0].voxels.value(), 3e4, 3e3);
   EXPECT_NEAR(report.rows[1].voxels.value(), 2e5, 1e4);
   for (const MappingRow& row : report.rows) {
+    EXPECT_EQ(row.views, 7);
     EXPECT_GT(row.graph_s.value(), 0);
     EXPECT_GT(row.maxflow_s.value(), 0);
     EXPECT_GT(row.peak_mb.value(), 0);

@@ -203,6 +203,25 @@ TEST(Depth, FromCoarseToFineFindsWhatTheWholeSweepFinds) {
   EXPECT_GT(coarse.within_1, 0.95);
 }
 
+TEST(Depth, RowsThatOnlyTheFullResolutionSeesAreNotAmbiguous) {
+  // At half the resolution the templates of these rows are not whole: nothing is known of rivals.
+  const Views views(slanted_wall(), pinhole(189, 121, 150),
+                    {at(0, 0, 0), at(-0.4, 0, 0), at(-0.2, 0.05, 0), at(0.2, 0, 0.05)});
+  DepthSweeper sweeper = make_sweeper();
+  const SweepResult result = views.estimate(sweeper, 1.5, 9, 96, 3, 1, true);
+  for (const int first : {5, 121 - 10}) {
+    int answers = 0;
+    for (int y = first; y < first + 5; ++y) {
+      for (int x = 5; x < 184; ++x) {
+        if (!(result.depth(x, y) > 0)) continue;
+        ++answers;
+        EXPECT_GT(result.lead(x, y), 0.1) << x << " " << y;
+      }
+    }
+    EXPECT_GT(answers, 450);
+  }
+}
+
 TEST(Depth, ABallKeepsItsOutlineBeforeAWall) {
   PlaneScene scene;
   scene.planes = {{Eigen::Vector3d(0, 0, 1), 5}};
@@ -296,6 +315,21 @@ TEST(Depth, OptionsOutOfRangeAreRefused) {
     options.template_px = side;
     EXPECT_TRUE(DepthSweeper::create(device(), options).has_value()) << side;
   }
+}
+
+TEST(Depth, WhatCannotBeCountedIsRefusedBeforeItIsTried) {
+  // 24 megapixels: 4 neighbours are possible, 16 are not.
+  DepthSweeper sweeper = make_sweeper();
+  EXPECT_LT(sweeper.scores_at_once(6000, 4000, 4, 128), DepthSweeper::kMostScores);
+  EXPECT_GT(sweeper.scores_at_once(6000, 4000, 16, 128), DepthSweeper::kMostScores);
+  EXPECT_GT(sweeper.scores_at_once(6000, 4000, 4, 128, false), DepthSweeper::kMostScores);
+  EXPECT_EQ(sweeper.scores_at_once(32, 20, 2, 64), 32 * 20 * 2 * 64) << "too small to be halved";
+  SweepImage image;
+  image.full.width_px = 6000, image.full.height_px = 4000;
+  image.half.width_px = 3000, image.half.height_px = 2000;
+  const Camera camera = pinhole(6000, 4000, 5000);
+  const std::vector<SweepNeighbour> neighbours(16, {&image, camera, at(0.1, 0, 0)});
+  EXPECT_THROW((void)sweeper.estimate({&image, camera, neighbours, 1, 9, 128}), std::logic_error);
 }
 
 TEST(Depth, ScaledCameraSeesTheSameDirections) {

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <vector>
@@ -71,6 +72,31 @@ TEST(CutViews, CellsAreLabelledByWhatTheViewsSawAlsoAtTheBorders) {
   for (int x = 0; x < 48; ++x) EXPECT_TRUE(ground.crust.test({x, 47 - x, 23})) << x;
 }
 
+TEST(CutViews, NoStageGoesOnWhenAskedToStop) {
+  const Ground ground;
+  std::stop_source source;
+  source.request_stop();
+  const auto stop = source.get_token();
+  const CutCells cells = label_cells(ground.views, 0.05, ground.crust, 0.4, 0.95, 2, stop);
+  EXPECT_TRUE(std::all_of(cells.labels.begin(), cells.labels.end(),
+                          [](CutLabel label) { return label == CutLabel::unknown; }));
+  const auto nothing = [](const auto& values) {
+    return std::all_of(values.begin(), values.end(), [](int v) { return v == 0; });
+  };
+  const CrustBlocks blocks(ground.crust);
+  EXPECT_TRUE(nothing(count_votes(ground.views, blocks, 2, stop).sums[0]));
+  EXPECT_TRUE(nothing(measure_distances(ground.views, 0.05, ground.crust, blocks, 2, stop).weight));
+  TriangleMesh mesh;
+  mesh.vertices.emplace_back(0.F, 0.F, 0.02F);
+  mesh.normals.emplace_back(0.F, 0.F, 1.F);
+  const ColourImage red(140, 140, {250, 0, 0});
+  const std::vector<const ColourImage*> colours(3, &red);
+  colour_cut(mesh, ground.volume, ground.views, colours, 2, stop);
+  EXPECT_EQ(mesh.colours[0], (Rgb8{128, 128, 128}));
+  colour_cut(mesh, ground.volume, ground.views, colours, 2);
+  EXPECT_EQ(mesh.colours[0], (Rgb8{250, 0, 0}));
+}
+
 TEST(CutViews, WhatNobodySawTakesTheNearestLabel) {
   // Only the middle of the ground is seen.
   Ground ground;
@@ -112,6 +138,7 @@ TEST(CutViews, APointVotesOncePerViewForTheThreeFacesAroundIt) {
   EXPECT_EQ(points.voxels.count(), 1U);
   EXPECT_TRUE(points.voxels.test({5, 7, 10}));
   const CrustBlocks blocks(points.voxels.within_4());
+  EXPECT_EQ(CrustBlocks::count_places(points.voxels.within_4()), blocks.places());
   for (const int threads : {1, 3}) {
     const LinkVotes votes = count_votes(views, blocks, threads);
     const Eigen::Vector3i faces[] = {{5, 7, 10}, {5, 7, 10}, {5, 7, 9}};
@@ -126,6 +153,26 @@ TEST(CutViews, APointVotesOncePerViewForTheThreeFacesAroundIt) {
       }
       EXPECT_EQ(others, 0) << axis;
     }
+  }
+}
+
+TEST(CutViews, ViewsVoteHoweverManyThereAre) {
+  // Of 600 views the first sees the point, then none for a long time.
+  const CutVolume volume{Eigen::Vector3d::Zero(), 1, {20, 20, 20}};
+  DepthMap map;
+  map.camera = testing::pinhole(3, 3, 50);
+  map.depth = map.confidence = FloatImage(3, 3);
+  map.T_world_camera = Pose(Eigen::Quaterniond::Identity(), Eigen::Vector3d(5.3, 7.1, -20.4));
+  std::vector<DepthMap> maps(600, map);
+  for (const std::size_t i : {0, 255, 510, 511}) {
+    maps[i].depth(1, 1) = 30;
+    maps[i].confidence(1, 1) = 0.5F;
+  }
+  const auto views = views_of(maps, volume);
+  const CrustBlocks blocks(find_points(views, volume, 1).voxels.within_4());
+  for (const int threads : {1, 3}) {
+    const LinkVotes votes = count_votes(views, blocks, threads);
+    EXPECT_EQ(votes.sums[0][blocks.place({5, 7, 10})], 4 * kVoteSteps / 2);
   }
 }
 

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <map>
 
+#include "core/median.h"
 #include "mapping/mesh_checks.h"
 #include "mapping/voxel_block.h"
 #include "scenes/memory_archive.h"
@@ -123,19 +124,21 @@ TEST(Mapper, DepthAndSurfaceOfAKnownRoom) {
   const MapperStatistics statistics = mapper->statistics();
   EXPECT_EQ(statistics.depth_maps, 7U);
   EXPECT_GT(statistics.answered, 0.6);
-  int answers = 0, within_2_percent = 0;
+  int answers = 0, within_2_percent = 0, near_top = 0;
   for (const StoredDepth& stored : mapper->depth_maps()) {
     const auto map = stored.scaled();
     const FloatImage truth = room().depth(map->camera, map->T_world_camera);
     for (std::size_t i = 0; i < truth.size(); ++i) {
       if (!(map->depth.data()[i] > 0)) continue;
       ++answers;
+      near_top += i < 10 * static_cast<std::size_t>(truth.width());
       within_2_percent += std::abs(map->depth.data()[i] / truth.data()[i] - 1) < 0.02;
       EXPECT_GT(map->confidence.data()[i], 0);
       EXPECT_LE(map->confidence.data()[i], 1);
     }
   }
   EXPECT_GT(within_2_percent, 0.9 * answers);
+  EXPECT_GT(near_top, 0.3 * 7 * 5 * 160) << "rows 5 to 9, the first with whole templates";
   const TriangleMesh mesh = mapper->mesh();
   ASSERT_GT(mesh.triangles.size(), 5000U);
   EXPECT_LT(median_error_vox(mesh, mapper->voxel_size()), 0.5);
@@ -308,6 +311,75 @@ TEST(Mapper, ASpentBudgetChangesNothingButWhereThingsLie) {
   EXPECT_EQ(mesh.vertices, same.vertices);
   EXPECT_EQ(mesh.triangles, same.triangles);
   EXPECT_EQ(mesh.colours, same.colours);
+}
+
+TEST(Mapper, DepthMapsAreHandedOutInThePoseAndScaleOfTheMapAsked) {
+  // The unit of length changes after the last keyframe, of the main segment and of another one.
+  const MapSnapshot small = scaled(room_map(), 0.1, 7);
+  const auto mapper = make_mapper();
+  mapper->finish(both_passes(small, small, 1));
+  const MapSnapshot after = both_passes(room_map(), room_map(), 1);
+  const auto check = [&] {
+    const std::vector<StoredDepth> maps = mapper->depth_maps(after);
+    ASSERT_EQ(maps.size(), 14U);
+    for (std::size_t i = 0; i < maps.size(); ++i) {
+      const DepthMap map = maps[i].load();
+      const Pose& T = after.keyframes[i]->T_world_camera;
+      EXPECT_EQ(map.T_world_camera.translation(), T.translation());
+      const FloatImage truth = room().depth(map.camera, T);
+      std::vector<double> errors;
+      for (std::size_t k = 0; k < truth.size(); ++k) {
+        if (map.depth.data()[k] > 0)
+          errors.push_back(std::abs(map.depth.data()[k] / truth.data()[k] - 1));
+      }
+      ASSERT_GT(errors.size(), 5000U);
+      EXPECT_LT(upper_median(std::move(errors)), 0.01) << i;
+    }
+  };
+  check();
+  mapper->finish(after);
+  check();
+  EXPECT_EQ(mapper->depth_maps().size(), 14U);
+}
+
+TEST(Mapper, DepthMapsThatCannotBeReadBackAreGivenUp) {
+  // Fused already, and not yet: the second pass lies in a segment of its own until it joins.
+  for (const bool joins : {false, true}) {
+    const auto archive = std::make_shared<testing::MemoryArchive>();
+    const auto mapper = make_mapper(nullptr, 1, archive);
+    mapper->finish(joins ? both_passes(room_map(), room_map(), 1) : room_map());
+    const std::size_t all = mapper->depth_maps().size();
+    archive->broken = true;
+    mapper->finish(joins
+                       ? both_passes(room_map(), room_map(), 0)
+                       : moved(room_map(), Pose(so3_exp({0, 0.1, 0}), Eigen::Vector3d(0.5, 0, 0))));
+    const MapperStatistics statistics = mapper->statistics();
+    EXPECT_GE(statistics.lost_depth_maps, 6U);
+    EXPECT_EQ(mapper->depth_maps().size() + statistics.lost_depth_maps, all);
+    EXPECT_GT(mapper->depth_maps().size(), 0U) << "the newest is in memory";
+    mapper->finish(room_map());
+    EXPECT_FALSE(mapper->mesh().empty());
+  }
+}
+
+TEST(Mapper, BlocksLostWhileMeshingAreAnnounced) {
+  // The later keyframes look to the right: beside what they see lies what only the archive has.
+  std::vector<Pose> poses;
+  for (int i = 0; i < 10; ++i) {
+    poses.emplace_back(so3_exp({-0.1, i < 5 ? -0.45 : 0.25, 0}),
+                       Eigen::Vector3d(0.15 * (i % 5), 0.03 * (i % 2), 0.05 * i));
+  }
+  const MapSnapshot map = testing::true_map(room(), testing::pinhole(160, 120, 130), poses);
+  Viewer viewer;
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  const auto mapper = make_mapper(&viewer, 1, archive);
+  mapper->finish(first_keyframes(map, 5));
+  EXPECT_EQ(mapper->statistics().lost_blocks, 0U);
+  archive->broken = true;
+  mapper->finish(map);
+  archive->broken = false;
+  EXPECT_GT(mapper->statistics().lost_blocks, 0U);
+  EXPECT_EQ(viewer.triangles(), mapper->mesh().triangles.size());
 }
 
 TEST(Mapper, WithoutAnArchiveTheBudgetHolds) {

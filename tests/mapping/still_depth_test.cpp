@@ -65,6 +65,28 @@ TEST(StillDepth, WhatCannotBeIsRefusedWithItsReason) {
   EXPECT_TRUE(agreed_points(views, *depths).vertices.empty());
 }
 
+TEST(StillDepth, TooManyRaysAtATimeAreRefusedWithWhatToDo) {
+  auto frame = std::make_shared<Frame>();
+  frame->grey = GreyImage(6000, 4000);
+  frame->camera = std::make_shared<const Camera>(testing::pinhole(6000, 4000, 5000));
+  std::vector<StillView> views;
+  for (int i = 0; i < 17; ++i) {
+    const double angle = 0.03 * (i - 8);
+    views.push_back(
+        {frame, Pose(so3_exp({0, angle, 0}), {-3 * std::sin(angle), 0, 3 - 3 * std::cos(angle)})});
+  }
+  StillDepthOptions options;
+  options.neighbours = 16;
+  options.interval = DepthInterval{1.5, 6};
+  const auto depths = depth_of_stills(device(), views, options);
+  ASSERT_TRUE(depths.has_value()) << depths.error().to_string();
+  for (const StillDepth& d : *depths) {
+    EXPECT_EQ(d.neighbours, 16);
+    EXPECT_NE(d.refusal.find("--scale"), std::string::npos) << d.refusal;
+    EXPECT_EQ(d.map.depth.size(), 0U);
+  }
+}
+
 TEST(StillDepth, ThePointThatCamerasLookAt) {
   std::vector<Pose> poses;
   for (const StillView& view : ball_views(5)) poses.push_back(view.T_world_camera);

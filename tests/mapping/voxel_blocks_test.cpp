@@ -138,6 +138,51 @@ TEST(VoxelBlocks, AnotherDepthMapDoesNotUnfuse) {
   }
 }
 
+TEST(VoxelBlocks, ColoursAndDepthThatAreNoLongerToBeHad) {
+  const Pose T = poses_all_round()[3];
+  const DepthMap map = sphere_view(T);
+  const ColourImage red = plain(map, {250, 40, 0}), blue = plain(map, {0, 0, 200});
+  VoxelBlocks once(kVoxel), volume(kVoxel);
+  (void)once.fuse(map, red, T);
+  (void)volume.fuse(map, red, T);
+  // Without colour in and with colour out; and the other way round, which leaves a mean of both.
+  const FusedView grey = volume.fuse(map, {}, T);
+  volume.unfuse(grey, map, blue);
+  for (const BlockIndex& b : once.indices()) {
+    EXPECT_EQ(volume.find(b)->voxels, once.find(b)->voxels);
+  }
+  for (int i = 0; i < 40; ++i) {
+    const FusedView view = volume.fuse(map, blue, T);
+    volume.unfuse(view, map, {});
+  }
+  for (const BlockIndex& b : once.indices()) {
+    for (std::size_t i = 0; i < VoxelBlock::kVoxels; ++i) {
+      const Voxel is = volume.find(b)->voxels[i], was = once.find(b)->voxels[i];
+      ASSERT_EQ(is.sum_colour_weight, was.sum_colour_weight);
+      ASSERT_EQ(is.sum_distance, was.sum_distance);
+      ASSERT_LE(is.sum_blue, 255 * was.sum_colour_weight);
+      ASSERT_LE(is.sum_red, was.sum_red);
+    }
+  }
+  // Then what was known is taken out: no sum goes below zero.
+  const FusedView known = volume.fuse(map, red, T);
+  volume.unfuse(volume.fuse(map, blue, T), map, {});
+  volume.unfuse(known, map, red);
+  for (const BlockIndex& b : once.indices()) {
+    for (const Voxel& voxel : volume.find(b)->voxels) {
+      ASSERT_LE(voxel.sum_red, 255 * voxel.sum_colour_weight);
+      ASSERT_LE(voxel.sum_blue, 255 * voxel.sum_colour_weight);
+    }
+  }
+  // A depth map that is gone changes nothing.
+  (void)volume.take_changed();
+  DepthMap gone = map;
+  gone.depth = gone.confidence = {};
+  EXPECT_TRUE(volume.fuse(gone, red, T).blocks.empty());
+  volume.unfuse(known, gone, red);
+  EXPECT_TRUE(volume.take_changed().empty());
+}
+
 TEST(VoxelBlocks, AViewThatSeesThroughASurfaceCarvesIt) {
   VoxelBlocks volume(kVoxel);
   const Pose T = poses_all_round()[0];
