@@ -141,8 +141,12 @@ PlaceReference PlaceFinder::verify(const Keyframe& keyframe, const MatchView& ta
     refusal = fmt::format("it has only {} landmarks", pixels.size());
     return reference;
   }
-  const MatchView view =
-      pairs_->prepare(keyframe.frame->load()->grey, *keyframe.frame->camera, pixels);
+  const FramePtr frame = keyframe.frame->load();
+  if (frame->grey.empty()) {
+    refusal = "its picture cannot be read back";
+    return reference;
+  }
+  const MatchView view = pairs_->prepare(frame->grey, *frame->camera, pixels);
   yield_();
   const PairMatches matches = pairs_->match(view, target, {.upright = true});
   for (const PairMatch& match : matches.matches) {

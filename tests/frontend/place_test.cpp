@@ -10,6 +10,7 @@
 #include "frontend/place_finder.h"
 #include "frontend/place_index.h"
 #include "tests/frontend/frontend_scenes.h"
+#include "tests/scenes/memory_archive.h"
 
 namespace corvid {
 namespace {
@@ -203,6 +204,24 @@ TEST(PlaceFinder, WhatTheTracksKnowIsNoNews) {
   EXPECT_TRUE(finder()->find(query, map.map).match.references.empty());
   query.observations.resize(10);
   EXPECT_FALSE(finder()->find(query, map.map).match.references.empty());
+}
+
+TEST(PlaceFinder, APictureThatCannotBeReadBackIsRefusedWithWords) {
+  const SyntheticFlight flight(test::small_flight());
+  const TrueMap map(flight, 3);
+  const FrameTracks query = query_of(flight.render(20));
+  auto places = finder();
+  ASSERT_FALSE(places->find(query, map.map).match.references.empty());  // all are indexed
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  for (const auto& keyframe : map.map.keyframes)
+    ASSERT_TRUE(keyframe->frame->put_away(archive).has_value());
+  archive->broken = true;
+  const PlaceSearch search = places->find(query, map.map);
+  EXPECT_TRUE(search.match.references.empty());
+  ASSERT_FALSE(search.refusals.empty());
+  EXPECT_NE(search.refusals[0].find("cannot be read back"), std::string::npos);
+  archive->broken = false;
+  EXPECT_FALSE(places->find(query, map.map).match.references.empty());
 }
 
 }  // namespace
