@@ -69,6 +69,16 @@ TEST(PlaceIndex, RanksAndKeepsApart) {
   EXPECT_NE(index.rank(query, usable, 1, 1).at(0).position, 4U);
 }
 
+TEST(PlaceIndex, RankingALongFlightLetsOthersGoBefore) {
+  PlaceIndex index;
+  const PlaceDescriptor place = describe_place(noise(1, 255));
+  int yields = 0;
+  for (std::size_t i = 0; i < 1000; ++i) index.add(place);
+  EXPECT_EQ(index.rank(place, std::vector<std::uint8_t>(1000, 1), 1, 0, [&] { ++yields; }).size(),
+            1U);
+  EXPECT_EQ(yields, 3);
+}
+
 SyntheticFlight flight_of(double duration_s) {
   FlightOptions options = test::small_flight();
   options.duration_s = duration_s;
@@ -194,6 +204,21 @@ TEST(PlaceFinder, WindowsThatAreAllAlikeAreNotTakenForEachOther) {
     }
   }
   EXPECT_GE(found, 2) << "where it is, it is found";
+}
+
+TEST(PlaceFinder, LetsOthersGoBeforeEachKeyframeThatItMeetsFirst) {
+  const SyntheticFlight flight(test::small_flight());
+  const TrueMap map(flight, 3);
+  int yields = 0;
+  auto places =
+      PlaceFinder::create(test::device(), PlaceOptions(), MatchingOptions(), [&] { ++yields; });
+  ASSERT_TRUE(places.has_value());
+  FrameTracks known = query_of(flight.render(20));  // its tracks tell all: nothing is matched
+  for (std::uint32_t i = 0; i < 40; ++i) known.observations.push_back({TrackId(i)});
+  (void)(*places)->find(known, map.map);
+  EXPECT_EQ(yields, 3);
+  (void)(*places)->find(known, map.map);
+  EXPECT_EQ(yields, 3);
 }
 
 TEST(PlaceFinder, WhatTheTracksKnowIsNoNews) {
