@@ -60,7 +60,7 @@ TEST(StoredFrame, LetsGoOfThePictures) {
 
 TEST(StoredFrame, KeepsWhatTheArchiveDoesNotTake) {
   const auto archive = std::make_shared<testing::MemoryArchive>();
-  archive->full = true;
+  archive->room = 0;
   const StoredFrame stored(picture(true));
   EXPECT_FALSE(stored.put_away(archive));
   EXPECT_FALSE(stored.is_away());
