@@ -56,10 +56,11 @@ std::optional<MapPositions::Fix> MapPositions::at(const StoredFrame& frame,
   const auto after =
       std::lower_bound(fixes_.begin(), fixes_.end(), frame.time_ns,
                        [](const Fix& a, std::int64_t time_ns) { return a.time_ns < time_ns; });
-  if (after != fixes_.end() && after->time_ns - frame.time_ns <= kExact_ns) return *after;
+  if (after != fixes_.end() && difference_s(after->time_ns, frame.time_ns) <= seconds(kExact_ns))
+    return *after;
   if (after == fixes_.begin()) return std::nullopt;
   const Fix& a = *std::prev(after);
-  if (frame.time_ns - a.time_ns <= kExact_ns) return a;
+  if (difference_s(frame.time_ns, a.time_ns) <= seconds(kExact_ns)) return a;
   if (after == fixes_.end()) return std::nullopt;
   const Fix& b = *after;
   const double gap_s = difference_s(b.time_ns, a.time_ns);
@@ -90,11 +91,12 @@ void MapPositions::match(const MapData& map) {
         difference_s(newest_frame_ns_, map.keyframes[k].frame->time_ns) > 2 * seconds(kLatest_ns);
     if (still_settled) settled_ = k + 1;
   }
-  if (settled_ > 0) forget(map.keyframes[settled_ - 1].frame->time_ns - kLatest_ns);
+  if (settled_ > 0) forget(map.keyframes[settled_ - 1].frame->time_ns);
 }
 
-void MapPositions::forget(std::int64_t before_ns) {
-  while (!fixes_.empty() && fixes_.front().time_ns < before_ns) fixes_.pop_front();
+void MapPositions::forget(std::int64_t settled_ns) {
+  while (!fixes_.empty() && difference_s(settled_ns, fixes_.front().time_ns) > seconds(kLatest_ns))
+    fixes_.pop_front();
 }
 
 /// Points of `placed`, their covariances enlarged by the drift of the map: a share of the way from

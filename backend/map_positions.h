@@ -72,7 +72,8 @@ class MapPositions {
   [[nodiscard]] std::optional<Sim3> known(int segment) const;
   void publish(MapData& map, int segment, const std::vector<std::size_t>& placed,
                const GeoAlignment& a);
-  void forget(std::int64_t before_ns);
+  /// Fixes from before a time when all is settled.
+  void forget(std::int64_t settled_ns);
 
   BackendOptions options_;
   std::deque<Fix> fixes_;  // by time

@@ -54,8 +54,9 @@ FramePtr StoredFrame::load() const {
   frame->camera = camera;
   frame->name = name;
   const auto bytes = archive->get(slot_);
-  if (!bytes) {
-    log().warn("the pictures of frame {} are lost: {}", id.value, bytes.error().to_string());
+  if (!bytes || bytes->size() != image_bytes) {
+    log().warn("the pictures of frame {} are lost: {}", id.value,
+               bytes ? "they came back with another size" : bytes.error().to_string());
     return frame;
   }
   frame->grey = GreyImage(width_px, height_px);

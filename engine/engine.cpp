@@ -372,8 +372,9 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
           engine.options.mapping.disk_mb));
   }
   if (images.failure())
-    result.notes.push_back("Keyframes' pictures stayed in memory: " +
-                           images.failure()->to_string());
+    result.notes.push_back(
+        "Keyframes' pictures stayed in memory when they could not be put away: " +
+        images.failure()->to_string());
   const std::uint64_t dropped = result.counts.dropped;
   result.counts = intake.counts();
   result.counts.dropped += dropped;

@@ -3,30 +3,76 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <cstddef>
+#include <utility>
 
 namespace corvid {
 namespace {
 
 constexpr std::size_t kMostMessages = 100;
+constexpr double kLeap_s = 10;
+constexpr std::size_t kMostLate = 10;
+constexpr std::string_view kTwice = "that of the frame before it";
+
+/// a - b without overflow, for times of any clock.
+double difference_s(std::int64_t a, std::int64_t b) {
+  return 1e-9 * (static_cast<double>(a) - static_cast<double>(b));
+}
 
 }  // namespace
 
+Expected<FramePtr> InOrder::take(const std::stop_token& stop) {
+  if (!taken_) return source_.next(stop);
+  auto frame = std::move(*taken_);
+  taken_.reset();
+  return frame;
+}
+
+FramePtr InOrder::accept(FramePtr frame) {
+  newest_ns_ = frame->time_ns;
+  last_late_ns_.reset();
+  late_in_a_row_ = 0;
+  return frame;
+}
+
+void InOrder::refuse(const Frame& frame, std::string_view why) {
+  ++refused_.skipped;
+  if (refused_.messages.size() < kMostMessages)
+    refused_.messages.push_back(fmt::format("frame {}: its time is {}", frame.id.value, why));
+}
+
 Expected<FramePtr> InOrder::next(const std::stop_token& stop) {
   while (true) {
-    auto frame = source_.next(stop);
-    if (!frame || !*frame) return frame;
-    const std::int64_t time_ns = (*frame)->time_ns;
-    if (!newest_ns_ || time_ns > *newest_ns_) {
-      newest_ns_ = time_ns;
-      return frame;
+    auto frame = take(stop);
+    const bool over = !frame || !*frame;
+    if (leapt_ && (over || (*frame)->time_ns > leapt_->time_ns)) {
+      taken_ = std::move(frame);
+      return accept(std::exchange(leapt_, nullptr));
     }
-    ++refused_.skipped;
-    if (refused_.messages.size() < kMostMessages)
-      refused_.messages.push_back(
-          fmt::format("frame {}: {}", (*frame)->id.value,
-                      time_ns == *newest_ns_ ? "its time is that of the frame before it"
-                                             : "its time is before that of the frame before it"));
+    if (over) return frame;
+    const std::int64_t time_ns = (*frame)->time_ns;
+    if (!newest_ns_) return accept(std::move(*frame));
+    if (leapt_ && time_ns == leapt_->time_ns) {
+      refuse(**frame, kTwice);
+      continue;
+    }
+    const double step_s = difference_s(time_ns, *newest_ns_);
+    if (time_ns > *newest_ns_) {
+      if (leapt_) refuse(*leapt_, "far ahead of that of the frame after it");
+      leapt_.reset();
+      if (step_s <= kLeap_s) return accept(std::move(*frame));
+      leapt_ = std::move(*frame);
+      continue;
+    }
+    refuse(**frame, time_ns == *newest_ns_ ? kTwice : "before that of the frame before it");
+    const bool late = step_s < -kLeap_s;
+    const bool rises = last_late_ns_ && time_ns > *last_late_ns_;
+    late_in_a_row_ = !late ? 0 : rises ? late_in_a_row_ + 1 : 1;
+    last_late_ns_ = late ? std::optional(time_ns) : std::nullopt;
+    if (late_in_a_row_ == kMostLate)
+      return fail(ErrorCode::corrupt,
+                  fmt::format("the clock of the frames went back by {:.3f} s for good", -step_s),
+                  fmt::format("frame {}", (*frame)->id.value),
+                  "begin a new run; check the camera's clock, or the times in the recording");
   }
 }
 

@@ -45,7 +45,8 @@ std::vector<Eigen::Vector2d> grid(const DeviceImage& image) {
 /// Searches all templates, turned and scaled, and keeps the largest set that agrees on a
 /// translation.
 Hypothesis test(NccMatcher& matcher, const DeviceImage& reference, const DeviceImage& target,
-                const std::vector<Eigen::Vector2d>& centres, double angle_rad, double scale) {
+                const std::vector<Eigen::Vector2d>& centres, double angle_rad, double scale,
+                Lane lane) {
   const Eigen::Matrix2d forward = scale * rotation(angle_rad);
   const Eigen::Matrix2d warp = forward.inverse();  // target offset -> reference offset
   std::vector<NccJob> jobs;
@@ -63,7 +64,7 @@ Hypothesis test(NccMatcher& matcher, const DeviceImage& reference, const DeviceI
   NccOptions options;
   options.template_px = kTemplatePx;
   options.peak_quality = 0.8;
-  const auto results = matcher.match(reference, target, jobs, options, Lane::tracking);
+  const auto results = matcher.match(reference, target, jobs, options, lane);
   std::vector<Vote> votes;
   for (std::size_t i = 0; i < results.size(); ++i)
     for (int k = 0; k < results[i].count; ++k) {
@@ -97,7 +98,7 @@ double angle_between(double a, double b) {
 Eigen::Matrix2d ImageSimilarity::linear() const { return scale * rotation(angle_rad); }
 
 ImageSimilarity align_images(NccMatcher& matcher, const DevicePyramid& reference,
-                             const DevicePyramid& target) {
+                             const DevicePyramid& target, Lane lane) {
   ImageSimilarity result;
   int level = 0;
   while (level + 1 < std::min(reference.levels(), target.levels()) &&
@@ -111,7 +112,7 @@ ImageSimilarity align_images(NccMatcher& matcher, const DevicePyramid& reference
 
   constexpr double kStep = std::numbers::pi / 12;
   std::vector<Hypothesis> turns;
-  for (int k = 0; k < 24; ++k) turns.push_back(test(matcher, r, t, centres, k * kStep, 1.0));
+  for (int k = 0; k < 24; ++k) turns.push_back(test(matcher, r, t, centres, k * kStep, 1.0, lane));
   std::sort(turns.begin(), turns.end(),
             [](const Hypothesis& a, const Hypothesis& b) { return a.weight > b.weight; });
   // Finer angles and other scales around the three best turns.
@@ -120,8 +121,9 @@ ImageSimilarity align_images(NccMatcher& matcher, const DevicePyramid& reference
     for (double angle : {-0.4, 0.0, 0.4})
       for (double scale : {0.8, 0.9, 1.0, 1.12, 1.25}) {
         if (angle == 0 && scale == 1.0) continue;
-        Hypothesis h = test(matcher, r, t, centres,
-                            turns[static_cast<std::size_t>(k)].angle_rad + angle * kStep, scale);
+        Hypothesis h =
+            test(matcher, r, t, centres,
+                 turns[static_cast<std::size_t>(k)].angle_rad + angle * kStep, scale, lane);
         if (h.weight > best.weight) best = std::move(h);
       }
   double rival = 0;

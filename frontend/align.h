@@ -28,6 +28,6 @@ struct ImageSimilarity {
 ///
 /// @return valid = false if too few templates agree, or if another turn is as good.
 [[nodiscard]] ImageSimilarity align_images(NccMatcher& matcher, const DevicePyramid& reference,
-                                           const DevicePyramid& target);
+                                           const DevicePyramid& target, Lane lane);
 
 }  // namespace corvid

@@ -303,7 +303,7 @@ void Frontend::recover(const Camera& camera, std::vector<SearchCandidate>& found
   for (const SearchQuery& query : queries) anchors.push_back(query.anchor_px);
   (void)take_weak_corners(corners_, previous_->pyramid->level(level),
                           current_->pyramid->level(level), level, anchors, options_.harris_kappa,
-                          options_.corner_score_ratio, candidates);
+                          options_.corner_score_ratio, candidates, Lane::tracking);
 
   MatchSets sets;
   for (std::size_t k = 0; k < missing.size(); ++k) {

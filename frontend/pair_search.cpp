@@ -178,7 +178,7 @@ PairPlaces PairSearch::coarse(const MatchView& reference, const MatchView& targe
 
 PairPlaces PairSearch::turned(const MatchView& reference, const MatchView& target, int level,
                               Eigen::Matrix2d& prior) {
-  const ImageSimilarity similarity = align_images(ncc_, *reference.pyramid, *target.pyramid);
+  const ImageSimilarity similarity = align_images(ncc_, *reference.pyramid, *target.pyramid, lane_);
   if (!similarity.valid) return {};
   prior = similarity.linear();
   const auto& points =
@@ -218,7 +218,7 @@ MatchSets PairSearch::candidate_sets(const MatchView& reference, const MatchView
   for (const PairQuery& query : queries) x_r.push_back(reference.points[query.point]);
   const auto weak_candidates =
       take_weak_corners(corners_, reference.pyramid->level(0), target.pyramid->level(0), 0, x_r,
-                        options_.harris_kappa, options_.corner_score_ratio, candidates);
+                        options_.harris_kappa, options_.corner_score_ratio, candidates, lane_);
   MatchSets sets;
   sets.points.resize(queries.size());
   for (std::size_t i = 0; i < queries.size(); ++i) {

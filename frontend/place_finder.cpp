@@ -90,8 +90,10 @@ PlaceSearch PlaceFinder::find(const FrameTracks& query, const MapSnapshot& map) 
   Stopwatch watch;
   PlaceSearch search;
   search.match.query = query.frame->id;
-  while (index_.size() < map.keyframes.size())
+  while (index_.size() < map.keyframes.size()) {
     index_.add(describe_place(map.keyframes[index_.size()]->frame->load()->grey));
+    yield_();
+  }
   const bool known = std::any_of(map.keyframes.begin(), map.keyframes.end(),
                                  [&](const auto& k) { return k->frame->id == query.frame->id; });
   if (known && resting_ > 0) {
@@ -102,7 +104,7 @@ PlaceSearch PlaceFinder::find(const FrameTracks& query, const MapSnapshot& map) 
   usable.resize(index_.size(), 0);  // an older state of the map
   if (std::find(usable.begin(), usable.end(), 1) == usable.end()) return search;
   const auto ranked = index_.rank(describe_place(query.frame->grey), usable,
-                                  static_cast<std::size_t>(options_.candidates), kSpacing);
+                                  static_cast<std::size_t>(options_.candidates), kSpacing, yield_);
   timings_.emplace_back("place/rank", watch.lap_ms());
 
   std::optional<MatchView> target;
@@ -141,8 +143,12 @@ PlaceReference PlaceFinder::verify(const Keyframe& keyframe, const MatchView& ta
     refusal = fmt::format("it has only {} landmarks", pixels.size());
     return reference;
   }
-  const MatchView view =
-      pairs_->prepare(keyframe.frame->load()->grey, *keyframe.frame->camera, pixels);
+  const FramePtr frame = keyframe.frame->load();
+  if (frame->grey.empty()) {
+    refusal = "its picture cannot be read back";
+    return reference;
+  }
+  const MatchView view = pairs_->prepare(frame->grey, *frame->camera, pixels);
   yield_();
   const PairMatches matches = pairs_->match(view, target, {.upright = true});
   for (const PairMatch& match : matches.matches) {

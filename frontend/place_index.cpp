@@ -14,6 +14,7 @@ constexpr int kColumns = PlaceDescriptor::kColumns, kRows = PlaceDescriptor::kRo
               kBins = PlaceDescriptor::kBins;
 constexpr int kCellPx = 16;              // of the image that is made small first
 constexpr float kNoiseGradient = 4;      // [grey levels] that count nothing
+constexpr std::size_t kSlice = 256;      // entries between two yields
 constexpr int kShiftX = 3, kShiftY = 2;  // [cells]
 
 constexpr std::size_t cell_offset(int row, int column) {
@@ -91,11 +92,14 @@ double similarity(const PlaceDescriptor& a, const PlaceDescriptor& b) {
 
 std::vector<RankedPlace> PlaceIndex::rank(const PlaceDescriptor& query,
                                           const std::vector<std::uint8_t>& usable,
-                                          std::size_t count, std::size_t spacing) const {
+                                          std::size_t count, std::size_t spacing,
+                                          const std::function<void()>& yield) const {
   CORVID_CHECK(usable.size() == descriptors_.size(), "one flag per entry");
   std::vector<RankedPlace> all;
-  for (std::size_t i = 0; i < descriptors_.size(); ++i)
+  for (std::size_t i = 0; i < descriptors_.size(); ++i) {
+    if (yield && i > 0 && i % kSlice == 0) yield();
     if (usable[i] != 0) all.push_back({i, similarity(query, descriptors_[i])});
+  }
   std::stable_sort(all.begin(), all.end(),
                    [](const auto& a, const auto& b) { return a.similarity > b.similarity; });
   std::vector<RankedPlace> best;

@@ -65,21 +65,24 @@ std::string text_of(ExifData* data, ExifIfd ifd, ExifTag tag) {
   return std::string(trim(all.substr(0, all.find('\0'))));
 }
 
-std::optional<double> number_of(ExifData* data, ExifIfd ifd, ExifTag tag) {
+std::optional<double> any_number_of(ExifData* data, ExifIfd ifd, ExifTag tag) {
   const ExifEntry* e = entry(data, ifd, tag);
   if (!e || !e->data || e->components < 1) return {};
   const ExifByteOrder order = exif_data_get_byte_order(data);
-  double value = 0;
   if (e->format == EXIF_FORMAT_RATIONAL && e->size >= 8) {
     const ExifRational r = exif_get_rational(e->data, order);
     if (r.denominator == 0) return {};
-    value = static_cast<double>(r.numerator) / r.denominator;
-  } else if (e->format == EXIF_FORMAT_SHORT && e->size >= 2) {
-    value = exif_get_short(e->data, order);
-  } else if (e->format == EXIF_FORMAT_LONG && e->size >= 4) {
-    value = exif_get_long(e->data, order);
+    return static_cast<double>(r.numerator) / r.denominator;
   }
-  return value > 0 ? std::optional(value) : std::nullopt;
+  if (e->format == EXIF_FORMAT_SHORT && e->size >= 2) return exif_get_short(e->data, order);
+  if (e->format == EXIF_FORMAT_LONG && e->size >= 4) return exif_get_long(e->data, order);
+  return {};
+}
+
+// Where zero says that the camera does not know.
+std::optional<double> number_of(ExifData* data, ExifIfd ifd, ExifTag tag) {
+  const auto value = any_number_of(data, ifd, tag);
+  return value && *value > 0 ? value : std::nullopt;
 }
 
 constexpr int kGpsHorizontalError = 0x001F;  // EXIF 2.31; libexif 0.6.24 has no name for it
@@ -106,7 +109,8 @@ std::optional<double> angle_of(ExifData* data, int tag, int reference_tag, char 
 std::optional<GeodeticPosition> gps_of(ExifData* data) {
   const auto latitude = angle_of(data, EXIF_TAG_GPS_LATITUDE, EXIF_TAG_GPS_LATITUDE_REF, 'S');
   const auto longitude = angle_of(data, EXIF_TAG_GPS_LONGITUDE, EXIF_TAG_GPS_LONGITUDE_REF, 'W');
-  const auto altitude = number_of(data, EXIF_IFD_GPS, static_cast<ExifTag>(EXIF_TAG_GPS_ALTITUDE));
+  const auto altitude =
+      any_number_of(data, EXIF_IFD_GPS, static_cast<ExifTag>(EXIF_TAG_GPS_ALTITUDE));
   if (!latitude || !longitude || !altitude || (*latitude == 0 && *longitude == 0)) return {};
   if (text_of(data, EXIF_IFD_GPS, static_cast<ExifTag>(EXIF_TAG_GPS_STATUS)) == "V") return {};
   const ExifEntry* below =

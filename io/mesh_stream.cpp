@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <bit>
-#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <utility>
@@ -109,13 +108,14 @@ MeshStream::~MeshStream() = default;
 void MeshStream::on_block(const MeshBlock& block) {
   const std::lock_guard lock(mutex_);
   ++statistics_.changes;
-  complete_ = false;
-  if (const auto old = blocks_.find(block.index); old != blocks_.end()) {
+  const auto old = blocks_.find(block.index);
+  if (old != blocks_.end()) {
     uncompressed_.erase(old->second.arrival);
     if (old->second.mesh) waiting_bytes_ -= raw_bytes(*old->second.mesh);
     if (old->second.packet.draco) compressed_bytes_ -= old->second.packet.draco->size();
-    blocks_.erase(old);
   }
+  replaced_.try_emplace(block.index, old != blocks_.end() ? std::move(old->second) : Kept());
+  if (old != blocks_.end()) blocks_.erase(old);
   newest_.version = std::max(newest_.version, block.version);
   if (!block.mesh.empty()) {
     newest_ = {block.index,    newest_.version,          block.voxel_size,
@@ -137,8 +137,7 @@ void MeshStream::on_block(const MeshBlock& block) {
 
 void MeshStream::on_complete(std::uint64_t /*version*/) {
   const std::lock_guard lock(mutex_);
-  complete_ = true;
-  completed_.notify_all();
+  replaced_.clear();
 }
 
 Expected<std::string> MeshStream::compress(const MeshPacket& packet, TriangleMesh mesh) const {
@@ -192,12 +191,13 @@ std::unique_ptr<MeshStream::Receiver> MeshStream::join() {
 }
 
 std::vector<MeshPacket> MeshStream::snapshot() const {
-  constexpr std::chrono::seconds kPatience(10);  // where the map stopped in the middle of a version
   std::vector<Kept> all;
   {
-    std::unique_lock lock(mutex_);
-    completed_.wait_for(lock, kPatience, [&] { return complete_; });
-    for (const auto& [index, kept] : blocks_) all.push_back(kept);
+    const std::lock_guard lock(mutex_);
+    for (const auto& [index, kept] : blocks_)
+      if (!replaced_.contains(index)) all.push_back(kept);
+    for (const auto& [index, kept] : replaced_)
+      if (kept.mesh || kept.packet.draco) all.push_back(kept);
   }
   std::vector<MeshPacket> out;
   for (Kept& kept : all) {
@@ -218,7 +218,12 @@ MeshStreamStatistics MeshStream::statistics() const {
 
 std::size_t MeshStream::kept_bytes() const {
   const std::lock_guard lock(mutex_);
-  return waiting_bytes_ + compressed_bytes_;
+  std::size_t replaced_bytes = 0;
+  for (const auto& [index, kept] : replaced_) {
+    if (kept.mesh) replaced_bytes += raw_bytes(*kept.mesh);
+    if (kept.packet.draco) replaced_bytes += kept.packet.draco->size();
+  }
+  return waiting_bytes_ + compressed_bytes_ + replaced_bytes;
 }
 
 MeshStream::Receiver::~Receiver() {

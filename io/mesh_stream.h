@@ -1,7 +1,6 @@
 #pragma once
 
 #include <array>
-#include <condition_variable>
 #include <cstddef>
 #include <cstdint>
 #include <map>
@@ -94,12 +93,12 @@ class MeshStream final : public MeshSink {
   [[nodiscard]] std::unique_ptr<Receiver> join();
 
   void on_complete(std::uint64_t version) override;
-  /// The whole surface of one moment, in no order. Waits until the blocks of one version are
-  /// together; the map does not wait for the rest of the work.
+  /// The whole surface of one moment, in no order: the newest version that is complete, so empty
+  /// before the first. Never waits for the map, nor the map for more than the copying.
   [[nodiscard]] std::vector<MeshPacket> snapshot() const;
 
   [[nodiscard]] MeshStreamStatistics statistics() const;
-  /// Compressed and waiting blocks together.
+  /// Compressed and waiting blocks together, with those of the last complete version.
   [[nodiscard]] std::size_t kept_bytes() const;
 
  private:
@@ -110,9 +109,10 @@ class MeshStream final : public MeshSink {
 
   MeshStreamOptions options_;
   mutable std::mutex mutex_;
-  mutable std::condition_variable completed_;
-  bool complete_ = true;  ///< no version is half there
   std::map<std::array<int, 3>, Kept> blocks_;
+  /// What blocks were in the last complete version that have changed since; without a surface where
+  /// they were not there.
+  std::map<std::array<int, 3>, Kept> replaced_;
   std::map<std::uint64_t, std::array<int, 3>> uncompressed_;  ///< by arrival
   std::uint64_t arrivals_ = 0;
   std::size_t waiting_bytes_ = 0, compressed_bytes_ = 0;

@@ -12,6 +12,7 @@ namespace {
 constexpr double kMinGrowth = 1e-3;  ///< smaller changes of a depth map's scale are noise
 constexpr std::size_t kMinLandmarks = 10;
 constexpr int kSliceLooks = 8;
+constexpr int kTryAgainAfter = 50;  ///< keyframes
 
 std::vector<std::pair<LandmarkId, double>> landmark_depths(const MapSnapshot& map,
                                                            const Keyframe& keyframe) {
@@ -55,10 +56,11 @@ MappedKeyframe::MappedKeyframe(const MapSnapshot& map, const Keyframe& keyframe,
 MappedKeyframe& MappedKeyframes::add(KeyframeId id, MappedKeyframe keyframe) {
   in_memory_.push_back(keyframe.depth);
   in_memory_bytes_ += keyframe.depth.image_bytes();
-  while (archive_ && in_memory_.size() > 1 && in_memory_bytes_ > memory_bytes_) {
+  if (untried_ > 0) --untried_;
+  while (archive_ && untried_ == 0 && in_memory_.size() > 1 && in_memory_bytes_ > memory_bytes_) {
     if (const auto away = in_memory_.front().put_away(archive_); !away) {
-      log().warn("mapping: depth maps stay in memory from here on: {}", away.error().to_string());
-      archive_ = nullptr;
+      log().warn("mapping: depth maps stay in memory for now: {}", away.error().to_string());
+      untried_ = kTryAgainAfter;
       break;
     }
     in_memory_bytes_ -= in_memory_.front().image_bytes();

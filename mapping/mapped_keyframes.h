@@ -41,7 +41,8 @@ struct MappedKeyframe {
 class MappedKeyframes {
  public:
   /// @param memory_bytes  of depth maps in memory; at least the newest is kept there.
-  /// @param archive       for the others; may be null: then all stay in memory.
+  /// @param archive       for the others; may be null: then all stay in memory. Where it fails, it
+  ///                      is tried again 50 keyframes later.
   MappedKeyframes(std::size_t memory_bytes, std::shared_ptr<Archive> archive)
       : memory_bytes_(memory_bytes), archive_(std::move(archive)) {}
 
@@ -74,6 +75,7 @@ class MappedKeyframes {
   std::map<KeyframeId, MappedKeyframe> keyframes_;
   std::deque<StoredDepth> in_memory_;  ///< oldest first
   std::size_t in_memory_bytes_ = 0;
+  int untried_ = 0;  ///< keyframes to come before the archive is tried again
   std::optional<int> segment_;
   std::set<std::pair<double, KeyframeId>> moved_;  ///< by motion
 };

@@ -61,6 +61,7 @@ struct Mapper::Impl {
   MappedKeyframes mapped;
   std::optional<KeyframeId> last_tried;
   bool fit_is_stale = false;              ///< the scene's depth may ask for other voxels
+  bool refitting = false;                 ///< keyframes are on their way back into the volume
   std::map<int, KeyframeId> last_mapped;  ///< by segment
   std::set<BlockIndex> shown;             ///< mesh blocks that the sink has
   std::uint64_t version = 0;
@@ -140,14 +141,17 @@ struct Mapper::Impl {
     log().info("mapping: voxels of {:.4g} instead of {:.4g} map units", size, volume->voxel_size());
     counts.lost_blocks += volume->lost_blocks();
     ++version;
-    if (sink) {
+    if (sink)
       for (const BlockIndex& index : shown) sink->on_block(shown_block(index, {}));
-      sink->on_complete(version);
-    }
+    refitting = true;
     shown.clear();
     start_volume(size);
     mapped.forget_fused();
     ++counts.refits;
+  }
+
+  void end_refit() {
+    if (std::exchange(refitting, false) && sink) sink->on_complete(version);
   }
 
   std::optional<std::size_t> next_keyframe(const MapSnapshot& map, bool at_end) const {
@@ -283,6 +287,8 @@ struct Mapper::Impl {
   bool follow_poses(const MapSnapshot& map, int segment) {
     mapped.look(map, segment, kRefuseMotion_vox * volume->voxel_size(), slice_end);
     const auto move = mapped.next_move();
+    // Those that are not in the volume come first.
+    if (!move || (move->wanted && move->keyframe->fused)) end_refit();
     if (!move) return false;
     end_slice();
     MappedKeyframe& entry = *move->keyframe;
@@ -357,7 +363,7 @@ struct Mapper::Impl {
         sink->on_block(block);
       }
     }
-    sink->on_complete(version);
+    if (!refitting) sink->on_complete(version);
     timings.emplace_back("mesh", watch.lap_ms());
   }
 };

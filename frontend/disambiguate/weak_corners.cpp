@@ -25,7 +25,7 @@ bool is_weak_corner(float score_r, float score_t, const Eigen::Vector2f& point, 
 std::vector<std::vector<SearchCandidate>> take_weak_corners(
     CornerDetector& corners, const DeviceImage& reference, const DeviceImage& target, int level,
     std::span<const Eigen::Vector2d> points, double kappa, double ratio,
-    std::vector<std::vector<SearchCandidate>>& candidates) {
+    std::vector<std::vector<SearchCandidate>>& candidates, Lane lane) {
   CORVID_CHECK(candidates.size() == points.size(), "one list of candidates per point");
   const double scale = std::ldexp(1.0, -level);
   std::vector<Eigen::Vector2f> x_r, x_t;
@@ -34,8 +34,8 @@ std::vector<std::vector<SearchCandidate>> take_weak_corners(
     for (const SearchCandidate& candidate : candidates[i])
       x_t.emplace_back((candidate.pixel * scale).cast<float>());
   }
-  const auto score_r = corners.score_at(reference, x_r, kappa);
-  const auto score_t = corners.score_at(target, x_t, kappa);
+  const auto score_r = corners.score_at(reference, x_r, kappa, lane);
+  const auto score_t = corners.score_at(target, x_t, kappa, lane);
   std::vector<double> ratios;
   for (std::size_t i = 0, k = 0; i < points.size(); k += candidates[i++].size())
     if (!candidates[i].empty() && score_t[k].lambda_min > 0)

@@ -28,9 +28,10 @@ namespace corvid {
 /// @param points            whose templates were searched; like the candidates' places, full
 ///                          resolution [px]
 /// @param kappa,ratio       of the Harris-Stephens score; tau_c
+/// @param lane              of the corner scores
 [[nodiscard]] std::vector<std::vector<SearchCandidate>> take_weak_corners(
     CornerDetector& corners, const DeviceImage& reference, const DeviceImage& target, int level,
     std::span<const Eigen::Vector2d> points, double kappa, double ratio,
-    std::vector<std::vector<SearchCandidate>>& candidates);
+    std::vector<std::vector<SearchCandidate>>& candidates, Lane lane);
 
 }  // namespace corvid

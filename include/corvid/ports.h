@@ -78,6 +78,7 @@ class MeshSink {
   virtual ~MeshSink() = default;
   virtual void on_block(const MeshBlock& block) = 0;
   /// Every block of that version was given: together the newest ones are the surface of one moment.
+  /// A surface that is made anew with other voxels is complete when all keyframes are back in it.
   virtual void on_complete(std::uint64_t /*version*/) {}
 };
 

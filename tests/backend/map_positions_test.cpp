@@ -254,5 +254,45 @@ TEST(MapPositions, OfAFrameByItsName) {
   EXPECT_LT(r.rmse_final_m, 0.3);
 }
 
+TEST(MapPositions, TimesOfAllClocks) {
+  constexpr auto kLeast = std::numeric_limits<std::int64_t>::min();
+  constexpr auto kMost = std::numeric_limits<std::int64_t>::max();
+  const auto fix_at = [](std::int64_t time_ns) {
+    PositionFix fix;
+    fix.time_ns = time_ns;
+    fix.position = kOrigin;
+    return fix;
+  };
+  const auto add_keyframe = [](MapData& map, std::int64_t time_ns) {
+    Frame frame;
+    frame.time_ns = time_ns;
+    map.add_keyframe(std::make_shared<const Frame>(frame), 0, Pose(), {});
+  };
+  struct Pair {
+    std::int64_t frame_ns, fix_ns;
+  };
+  for (const auto& [frame_ns, fix_ns] : {Pair{kLeast, 0}, Pair{kLeast, kMost}, Pair{kMost, -5},
+                                         Pair{kLeast, kLeast}, Pair{kMost, kMost}}) {
+    MapPositions positions{BackendOptions()};
+    MapData map;
+    add_keyframe(map, frame_ns);
+    positions.add(std::vector{fix_at(fix_ns)});
+    positions.follow(map, 0);
+    EXPECT_EQ(positions.placement(0)->positions, frame_ns == fix_ns ? 1 : 0)
+        << frame_ns << ", " << fix_ns;
+  }
+
+  // What an early keyframe leaves behind is not needed any more; what comes after it is.
+  MapPositions positions{BackendOptions()};
+  MapData map;
+  for (const std::int64_t time_ns : {kLeast, std::int64_t{0}}) add_keyframe(map, time_ns);
+  positions.add(std::vector{fix_at(0), fix_at(1'000'000'000)});
+  positions.follow(map, 0);
+  EXPECT_EQ(positions.placement(0)->positions, 1);
+  add_keyframe(map, 500'000'000);
+  positions.follow(map, 0);
+  EXPECT_EQ(positions.placement(0)->positions, 2);
+}
+
 }  // namespace
 }  // namespace corvid

@@ -60,7 +60,7 @@ TEST(StoredFrame, LetsGoOfThePictures) {
 
 TEST(StoredFrame, KeepsWhatTheArchiveDoesNotTake) {
   const auto archive = std::make_shared<testing::MemoryArchive>();
-  archive->full = true;
+  archive->room = 0;
   const StoredFrame stored(picture(true));
   EXPECT_FALSE(stored.put_away(archive));
   EXPECT_FALSE(stored.is_away());
@@ -77,6 +77,19 @@ TEST(StoredFrame, SaysWhatItIsWithoutItsPictures) {
   EXPECT_EQ(frame->id, FrameId(7));
   EXPECT_TRUE(frame->grey.empty());
   EXPECT_TRUE(frame->colour.empty());
+}
+
+TEST(StoredFrame, PicturesOfAnotherSizeAreLost) {
+  for (const std::size_t size : {0U, 59U, 61U}) {
+    const auto archive = std::make_shared<testing::MemoryArchive>();
+    const StoredFrame stored(picture(true));
+    ASSERT_TRUE(stored.put_away(archive));
+    archive->kept.begin()->second.resize(size);
+    const FramePtr frame = stored.load();
+    EXPECT_EQ(frame->id, FrameId(7));
+    EXPECT_TRUE(frame->grey.empty());
+    EXPECT_TRUE(frame->colour.empty());
+  }
 }
 
 TEST(StoredFrame, NeedsAFrame) { EXPECT_THROW(StoredFrame(nullptr), std::logic_error); }

@@ -50,7 +50,7 @@ TEST(ImageStore, WithoutAnArchiveAllStays) {
 
 TEST(ImageStore, SaysThatTheArchiveFailed) {
   const auto archive = std::make_shared<testing::MemoryArchive>();
-  archive->full = true;
+  archive->room = 0;
   ImageStore store(archive, 250);
   MapSnapshot map;
   add_keyframes(map, 5);
@@ -58,6 +58,25 @@ TEST(ImageStore, SaysThatTheArchiveFailed) {
   ASSERT_TRUE(store.failure());
   EXPECT_EQ(store.failure()->what, "no room");
   EXPECT_EQ(in_memory(map), 5U);
+}
+
+TEST(ImageStore, TriesAgainWhenTheDiskMayHaveRoom) {
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  ImageStore store(archive, 250);
+  MapSnapshot map;
+  add_keyframes(map, 10);
+  archive->room = 3;
+  store.trim(map);
+  EXPECT_EQ(in_memory(map), 7U);
+  archive->room.reset();
+  add_keyframes(map, 59);
+  store.trim(map);
+  EXPECT_EQ(in_memory(map), 56U) << "not yet";
+  add_keyframes(map, 60);
+  store.trim(map);
+  EXPECT_EQ(in_memory(map), 2U);
+  EXPECT_EQ(archive->kept.size(), 58U);
+  EXPECT_TRUE(store.failure()) << "for the notes of the run";
 }
 
 }  // namespace

@@ -62,8 +62,8 @@ TEST(WeakCorners, AreTakenWhateverTheExposure) {
         candidates.push_back({{points.back(), 0.9F}, {flat, 0.8F}});
     }
     ASSERT_GT(points.size(), 100U);
-    const auto weak =
-        take_weak_corners(*corners, r->level(0), t->level(0), 0, points, 0.04, 5, candidates);
+    const auto weak = take_weak_corners(*corners, r->level(0), t->level(0), 0, points, 0.04, 5,
+                                        candidates, Lane::tracking);
     ASSERT_EQ(weak.size(), points.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
       ASSERT_EQ(candidates[i].size(), 1U) << "gain " << gain;

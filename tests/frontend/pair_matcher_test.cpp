@@ -4,7 +4,9 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <chrono>
 #include <cmath>
+#include <future>
 #include <map>
 #include <numbers>
 #include <opencv2/imgproc.hpp>
@@ -161,6 +163,27 @@ GreyImage noise(int width, int height, unsigned seed) {
   for (int y = 0; y < height; ++y)
     for (int x = 0; x < width; ++x) image(x, y) = static_cast<std::uint8_t>(random() % 256);
   return image;
+}
+
+// While the lane of tracking is held, a pair of the other lane is matched, turned images included.
+TEST(PairMatcher, LaunchesNothingInAnotherLane) {
+  const auto flight = make_flight();
+  const auto made = PairMatcher::create(device(), {}, Lane::mapping);
+  ASSERT_TRUE(made.has_value());
+  const auto a = flight->render(30), b = flight->render(33);
+  cv::Mat upside_down;
+  cv::rotate(view_of(b->grey), upside_down, cv::ROTATE_180);
+  const GreyImage turned = grey_of(upside_down);
+  cl::UserEvent go(device()->context());
+  const std::vector<cl::Event> wait{go};
+  device()->queue(Lane::tracking).enqueueBarrierWithWaitList(&wait);
+  device()->queue(Lane::tracking).flush();
+  auto matched = std::async(
+      std::launch::async, [&] { return match_images(**made, a->grey, turned, flight->camera()); });
+  const bool free = matched.wait_for(std::chrono::minutes(2)) == std::future_status::ready;
+  go.setStatus(CL_COMPLETE);
+  EXPECT_TRUE(free) << "it waits for the lane of tracking";
+  EXPECT_TRUE(matched.get().F);
 }
 
 TEST(PairMatcher, GivesNothingWhereThereIsNothingInCommon) {

@@ -10,6 +10,7 @@
 #include "frontend/place_finder.h"
 #include "frontend/place_index.h"
 #include "tests/frontend/frontend_scenes.h"
+#include "tests/scenes/memory_archive.h"
 
 namespace corvid {
 namespace {
@@ -66,6 +67,16 @@ TEST(PlaceIndex, RanksAndKeepsApart) {
   }
   usable[4] = 0;
   EXPECT_NE(index.rank(query, usable, 1, 1).at(0).position, 4U);
+}
+
+TEST(PlaceIndex, RankingALongFlightLetsOthersGoBefore) {
+  PlaceIndex index;
+  const PlaceDescriptor place = describe_place(noise(1, 255));
+  int yields = 0;
+  for (std::size_t i = 0; i < 1000; ++i) index.add(place);
+  EXPECT_EQ(index.rank(place, std::vector<std::uint8_t>(1000, 1), 1, 0, [&] { ++yields; }).size(),
+            1U);
+  EXPECT_EQ(yields, 3);
 }
 
 SyntheticFlight flight_of(double duration_s) {
@@ -195,6 +206,21 @@ TEST(PlaceFinder, WindowsThatAreAllAlikeAreNotTakenForEachOther) {
   EXPECT_GE(found, 2) << "where it is, it is found";
 }
 
+TEST(PlaceFinder, LetsOthersGoBeforeEachKeyframeThatItMeetsFirst) {
+  const SyntheticFlight flight(test::small_flight());
+  const TrueMap map(flight, 3);
+  int yields = 0;
+  auto places =
+      PlaceFinder::create(test::device(), PlaceOptions(), MatchingOptions(), [&] { ++yields; });
+  ASSERT_TRUE(places.has_value());
+  FrameTracks known = query_of(flight.render(20));  // its tracks tell all: nothing is matched
+  for (std::uint32_t i = 0; i < 40; ++i) known.observations.push_back({TrackId(i)});
+  (void)(*places)->find(known, map.map);
+  EXPECT_EQ(yields, 3);
+  (void)(*places)->find(known, map.map);
+  EXPECT_EQ(yields, 3);
+}
+
 TEST(PlaceFinder, WhatTheTracksKnowIsNoNews) {
   const SyntheticFlight flight(test::small_flight());
   const TrueMap map(flight, 3);
@@ -203,6 +229,24 @@ TEST(PlaceFinder, WhatTheTracksKnowIsNoNews) {
   EXPECT_TRUE(finder()->find(query, map.map).match.references.empty());
   query.observations.resize(10);
   EXPECT_FALSE(finder()->find(query, map.map).match.references.empty());
+}
+
+TEST(PlaceFinder, APictureThatCannotBeReadBackIsRefusedWithWords) {
+  const SyntheticFlight flight(test::small_flight());
+  const TrueMap map(flight, 3);
+  const FrameTracks query = query_of(flight.render(20));
+  auto places = finder();
+  ASSERT_FALSE(places->find(query, map.map).match.references.empty());  // all are indexed
+  const auto archive = std::make_shared<testing::MemoryArchive>();
+  for (const auto& keyframe : map.map.keyframes)
+    ASSERT_TRUE(keyframe->frame->put_away(archive).has_value());
+  archive->broken = true;
+  const PlaceSearch search = places->find(query, map.map);
+  EXPECT_TRUE(search.match.references.empty());
+  ASSERT_FALSE(search.refusals.empty());
+  EXPECT_NE(search.refusals[0].find("cannot be read back"), std::string::npos);
+  archive->broken = false;
+  EXPECT_FALSE(places->find(query, map.map).match.references.empty());
 }
 
 }  // namespace

@@ -195,6 +195,39 @@ TEST(MeshStream, RemovalsAreOfTheNewestVersionAndOnlyForThoseWhoHadTheBlock) {
   EXPECT_TRUE(client.blocks.empty());
 }
 
+TEST(MeshStream, ASnapshotIsTheLastCompleteVersion) {
+  MeshStream stream;
+  const auto versions = [&] {  // by block
+    std::map<int, std::uint64_t> found;
+    for (const MeshPacket& packet : stream.snapshot())
+      EXPECT_TRUE(found.emplace(packet.index[0], packet.version).second) << "twice";
+    return found;
+  };
+  using Found = std::map<int, std::uint64_t>;
+  stream.on_block(sheet(0, 0, 1));
+  EXPECT_TRUE(stream.snapshot().empty()) << "nothing was complete yet";
+  stream.on_block(sheet(1, 0, 1));
+  stream.on_complete(1);
+  const std::size_t bytes = stream.kept_bytes();
+  EXPECT_EQ(versions(), (Found{{0, 1}, {1, 1}}));
+  stream.on_block(removal(0, 0, 2));
+  stream.on_block(sheet(1, 0, 2, 0.1));
+  stream.on_block(sheet(1, 0, 3, 0.2));
+  stream.on_block(sheet(2, 0, 3));
+  EXPECT_EQ(versions(), (Found{{0, 1}, {1, 1}}));
+  EXPECT_EQ(stream.kept_bytes(), 2 * bytes);
+  stream.on_complete(3);
+  EXPECT_EQ(versions(), (Found{{1, 3}, {2, 3}}));
+  EXPECT_EQ(stream.kept_bytes(), bytes);
+  // All is taken away and comes back in other voxels.
+  for (const int i : {1, 2}) stream.on_block(removal(i, 0, 4));
+  EXPECT_EQ(versions(), (Found{{1, 3}, {2, 3}}));
+  stream.on_block(sheet(1, 0, 5));
+  EXPECT_EQ(versions(), (Found{{1, 3}, {2, 3}}));
+  stream.on_complete(5);
+  EXPECT_EQ(versions(), (Found{{1, 5}}));
+}
+
 TEST(MeshStream, BlocksThatCannotBeSentAreCountedNotAFault) {
   MeshStream stream;
   const auto receiver = stream.join();

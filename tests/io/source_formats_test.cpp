@@ -359,6 +359,17 @@ TEST(SourceFormats, PhotographsByTheirExif) {
   EXPECT_TRUE(has_note(source->info().notes, "do not rise"));
 }
 
+TEST(SourceFormats, APhotographAtSeaLevelHasAPosition) {
+  TempFolder t;
+  ExifFields f;
+  f.gps = GeodeticPosition{-33.856784, 151.215297, 0};
+  write_jpeg_with_exif(t / "a.jpg", 64, 48, f);
+  const auto exif = read_exif(t / "a.jpg");
+  ASSERT_TRUE(exif && exif->gps);
+  EXPECT_EQ(exif->gps->altitude_m, 0);
+  EXPECT_NEAR(exif->gps->latitude_deg, -33.856784, 1e-8);
+}
+
 TEST(SourceFormats, DepthsAndColoursOfPixels) {
   TempFolder t;
   cv::Mat deep(2, 3, CV_16UC1, cv::Scalar(0x1234));

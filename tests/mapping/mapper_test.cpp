@@ -6,6 +6,9 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <optional>
+#include <utility>
+#include <vector>
 
 #include "core/median.h"
 #include "mapping/mesh_checks.h"
@@ -39,12 +42,20 @@ struct Viewer final : MeshSink {
   std::map<std::array<int, 3>, TriangleMesh> blocks;
   std::uint64_t version = 0;
   int removals = 0;
+  bool emptied = false;                      ///< since the last complete version
+  std::vector<std::size_t> complete;         ///< triangles of each complete version
+  std::optional<std::size_t> after_emptied;  ///< position in it
+  void on_complete(std::uint64_t) override {
+    if (std::exchange(emptied, false)) after_emptied = complete.size();
+    complete.push_back(triangles());
+  }
   void on_block(const MeshBlock& block) override {
     EXPECT_GE(block.version, version);
     version = block.version;
     if (block.mesh.empty()) {
       EXPECT_EQ(blocks.erase(block.index), 1U) << "removed, but it was never sent";
       ++removals;
+      emptied |= blocks.empty();
     } else {
       blocks[block.index] = block.mesh;
     }
@@ -205,6 +216,9 @@ TEST(Mapper, VoxelsAndDepthFollowTheScaleOfTheMap) {
   ASSERT_GE(mapper->depth_maps().size(), 3U);
   mapper->finish(room_map());
   EXPECT_EQ(mapper->statistics().refits, 1U);
+  ASSERT_TRUE(viewer.after_emptied);
+  EXPECT_GT(viewer.complete[*viewer.after_emptied], viewer.complete.back() / 2)
+      << "no complete version before the keyframes are back";
   EXPECT_NEAR(mapper->voxel_size() / before, 10, 3);
   const auto straight = make_mapper();
   straight->finish(room_map());

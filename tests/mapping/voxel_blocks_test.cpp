@@ -254,7 +254,7 @@ TEST(VoxelBlocks, WithoutRoomInTheArchiveTheLongestUnusedAreLost) {
   const Pose T = poses_all_round()[7], T2 = poses_all_round()[30];
   const DepthMap map = sphere_view(T), map2 = sphere_view(T2);
   const auto full = std::make_shared<testing::MemoryArchive>();
-  full->full = true;
+  full->room = 0;
   const auto small = std::make_shared<testing::MemoryArchive>();
   VoxelBlocks volumes[] = {VoxelBlocks(kFine, kSmall), VoxelBlocks(kFine, kSmall, full),
                            VoxelBlocks(kFine, {0, 10 * sizeof(VoxelBlock)}, small)};

@@ -2,6 +2,7 @@
 
 #include <map>
 #include <mutex>
+#include <optional>
 #include <vector>
 
 #include "corvid/archive.h"
@@ -13,7 +14,7 @@ class MemoryArchive : public Archive {
  public:
   Expected<Slot> put(std::span<const std::byte> bytes) override {
     const std::lock_guard lock(mutex_);
-    if (full) return fail(ErrorCode::io, "no room");
+    if (room && kept.size() >= *room) return fail(ErrorCode::io, "no room");
     const Slot slot{next_++, bytes.size()};
     kept[slot.offset].assign(bytes.begin(), bytes.end());
     return slot;
@@ -29,7 +30,8 @@ class MemoryArchive : public Archive {
     kept.erase(slot.offset);
   }
 
-  bool full = false, broken = false;
+  std::optional<std::size_t> room;  ///< for so many
+  bool broken = false;
   mutable int reads = 0;
   std::map<std::uint64_t, std::vector<std::byte>> kept;
 
