@@ -152,25 +152,6 @@ TEST_F(BenchTest, AFileThatCannotBeWrittenIsFoundOutBeforeMeasuring) {
   }
 }
 
-// Sends SIGINT to this process, once, when a line with `text` has gone through it.
-class SignallingBuffer : public std::stringbuf {
- public:
-  explicit SignallingBuffer(std::string text) : text_(std::move(text)) {}
-
- protected:
-  int sync() override {
-    if (!sent_ && str().find(text_) != std::string::npos) {
-      sent_ = true;
-      std::raise(SIGINT);
-    }
-    return 0;
-  }
-
- private:
-  std::string text_;
-  bool sent_ = false;
-};
-
 TEST_F(BenchTest, SigintKeepsTheFinishedRowsAndEndsWith130) {
   SignallingBuffer buffer("dense: ");  // the line of the first row
   std::ostringstream out;

@@ -3,11 +3,13 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "apps/program.h"
@@ -32,6 +34,25 @@ inline Ran corvid_run(const std::vector<std::string>& arguments, bool terminal =
   ran.err = err.str();
   return ran;
 }
+
+/// Sends SIGINT to this process, `times` times, when a line with `text` has gone through it.
+class SignallingBuffer : public std::stringbuf {
+ public:
+  explicit SignallingBuffer(std::string text, int times = 1)
+      : text_(std::move(text)), times_(times) {}
+
+ protected:
+  int sync() override {
+    if (times_ > 0 && str().find(text_) != std::string::npos) {
+      for (; times_ > 0; --times_) std::raise(SIGINT);
+    }
+    return 0;
+  }
+
+ private:
+  std::string text_;
+  int times_;
+};
 
 /// A folder of its own for each test, removed at its end.
 class ProgramTest : public ::testing::Test {

@@ -8,7 +8,6 @@
 #include <csignal>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
-#include <streambuf>
 
 #include "apps/command_flight.h"
 #include "apps/signal_guard.h"
@@ -226,25 +225,9 @@ TEST_F(ReplayTest, ASourceThatFailsLeavesAPartialRunAndEndsWithOne) {
   }
 }
 
-// A stream buffer that sends a signal to this process when the n-th line goes through it.
-class SignallingBuffer : public std::stringbuf {
- public:
-  SignallingBuffer(int line, int times) : line_(line), times_(times) {}
-
- protected:
-  int sync() override {
-    if (++seen_ == line_) {
-      for (int i = 0; i < times_; ++i) std::raise(SIGINT);
-    }
-    return 0;
-  }
-
- private:
-  int line_, times_, seen_ = 0;
-};
-
 TEST_F(ReplayTest, SigintSavesWhatThereIsAndEndsWith130) {
-  SignallingBuffer buffer(40, 2);  // well within the flight; the second one must change nothing
+  SignallingBuffer buffer("\"frame\":38,",
+                          2);  // well within the flight; the second one must change nothing
   std::ostream out(&buffer);
   std::ostringstream err;
   const std::string run = path("run");
@@ -261,6 +244,29 @@ TEST_F(ReplayTest, SigintSavesWhatThereIsAndEndsWith130) {
   EXPECT_LT(events.size(), 400U) << "it stopped long before the 600 frames of the flight";
   EXPECT_TRUE(std::filesystem::exists(folder_ / "run/report.html"));
   EXPECT_TRUE(read_trajectory(path("run/trajectory.txt")));
+}
+
+TEST_F(ReplayTest, WithoutTheCutThatWasAskedForTheLiveSurfaceIsThere) {
+  // Stopped while flying, as soon as there is a mesh, and while the cut is under way.
+  for (const char* moment : {"\"event\":\"mesh\"", "cutting the surface"}) {
+    SignallingBuffer out_buffer(moment), err_buffer(moment);
+    std::ostream out(&out_buffer), err(&err_buffer);
+    const std::string run = path("run");
+    const char* argv[] = {"corvid",    "replay", kFlight,     "--out",
+                          run.c_str(), "--json", "--surface", "cut"};
+    EXPECT_EQ(run_program(8, argv, Context{out, err}), 130) << err_buffer.str();
+    EXPECT_TRUE(std::filesystem::exists(folder_ / "run/mesh.glb")) << moment;
+    EXPECT_FALSE(std::filesystem::exists(folder_ / "run/mesh-cut.drc"));
+    const json numbers = json::parse(read(folder_ / "run/run.json"));
+    EXPECT_EQ(numbers["interrupted"], true) << moment;
+    EXPECT_THAT(numbers["notes"].back().get<std::string>(),
+                AllOf(HasSubstr("No surface by graph cut"), HasSubstr("asked to stop")));
+  }
+  // Depth maps that answer nowhere.
+  const Ran none = corvid_run({"replay", kFlight, "--out", path("run"), "--surface", "cut", "--set",
+                               "mapping.min_views=4", "--set", "mapping.min_score=0.99"});
+  EXPECT_EQ(none.code, static_cast<int>(ExitCode::no_estimate)) << none.err;
+  EXPECT_THAT(none.err, HasSubstr("No surface by graph cut"));
 }
 
 TEST(SignalGuard, TheThirdSignalEndsTheProcess) {
