@@ -342,7 +342,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
     if (auto pushed = positions.push(fix); !pushed) log().warn("{}", pushed.error().to_string());
   }
   MeshStream stream;
-  auto live_export = LiveExportServer::start(plan.out, stream);
+  auto live_export =
+      LiveExportServer::start(plan.out, plan.options.mapping.enabled ? &stream : nullptr);
   auto result = [&] {
     Fanout listeners;
     listeners.add_mesh(&stream);
@@ -358,7 +359,6 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   if (!result) return tl::unexpected(result.error());
   for (const std::string& message : result->counts.messages) log().warn("skipped: {}", message);
 
-  live_export.reset();
   std::optional<StreamNumbers> streamed;
   if (!result->mesh.empty())
     streamed = count_stream(stream, result->wall_s, plan.options.mapping.stream_bytes_per_s);
@@ -378,6 +378,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   if (auto written = write_run_folder(input, plan.out); !written) {
     return tl::unexpected(written.error());
   }
+  live_export
+      .reset();  // from here on the folder answers; until then an earlier run's may lie there
 
   const SourceInfo& info = player.info();
   const ExitCode code = judge(*result, info.kind + " " + info.path,

@@ -6,6 +6,7 @@
 #include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <sstream>
 #include <string>
@@ -35,23 +36,30 @@ inline Ran corvid_run(const std::vector<std::string>& arguments, bool terminal =
   return ran;
 }
 
-/// Sends SIGINT to this process, `times` times, when a line with `text` has gone through it.
-class SignallingBuffer : public std::stringbuf {
+/// Does something, once, when a line with `text` has gone through it.
+class WatchingBuffer : public std::stringbuf {
  public:
-  explicit SignallingBuffer(std::string text, int times = 1)
-      : text_(std::move(text)), times_(times) {}
+  WatchingBuffer(std::string text, std::function<void()> action)
+      : text_(std::move(text)), action_(std::move(action)) {}
 
  protected:
   int sync() override {
-    if (times_ > 0 && str().find(text_) != std::string::npos) {
-      for (; times_ > 0; --times_) std::raise(SIGINT);
-    }
+    if (action_ && str().find(text_) != std::string::npos) std::exchange(action_, nullptr)();
     return 0;
   }
 
  private:
   std::string text_;
-  int times_;
+  std::function<void()> action_;
+};
+
+/// Sends SIGINT to this process, `times` times, when a line with `text` has gone through it.
+class SignallingBuffer : public WatchingBuffer {
+ public:
+  explicit SignallingBuffer(std::string text, int times = 1)
+      : WatchingBuffer(std::move(text), [times] {
+          for (int i = 0; i < times; ++i) std::raise(SIGINT);
+        }) {}
 };
 
 /// A folder of its own for each test, removed at its end.

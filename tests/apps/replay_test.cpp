@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include "apps/command_flight.h"
+#include "apps/live_export.h"
 #include "apps/signal_guard.h"
 #include "apps/talk.h"
 #include "core/log.h"
@@ -267,6 +268,24 @@ TEST_F(ReplayTest, WithoutTheCutThatWasAskedForTheLiveSurfaceIsThere) {
                                "mapping.min_views=4", "--set", "mapping.min_score=0.99"});
   EXPECT_EQ(none.code, static_cast<int>(ExitCode::no_estimate)) << none.err;
   EXPECT_THAT(none.err, HasSubstr("No surface by graph cut"));
+}
+
+TEST_F(ReplayTest, TheLiveSurfaceCanBeHadUntilTheFolderIsThere) {
+  // Comparing and writing take time; meanwhile the folder is absent, or is an earlier run's.
+  const std::string run = path("run");
+  std::size_t triangles = 0;
+  WatchingBuffer buffer("writing " + run, [&] {
+    const auto mesh = fetch_live_surface(run);
+    if (mesh && *mesh) triangles = (*mesh)->triangles.size();
+  });
+  std::ostream err(&buffer);
+  std::ostringstream out;
+  const char* argv[] = {"corvid", "replay", kFlight, "--out", run.c_str()};
+  ASSERT_EQ(run_program(5, argv, Context{out, err}), 0) << buffer.str();
+  EXPECT_GT(triangles, 100U);
+  const auto after = fetch_live_surface(run);
+  ASSERT_TRUE(after);
+  EXPECT_FALSE(after->has_value());
 }
 
 TEST(SignalGuard, TheThirdSignalEndsTheProcess) {
