@@ -80,8 +80,7 @@ Expected<void> measure(const MappingArguments& arguments, std::vector<Opened>& o
     scene->name = o.name;
     scenes.push_back(std::move(*scene));
     const bool is_flight = &o == &opened.front();
-    const bool has_truth = o.source->info().has_depth || o.source->true_surface().has_value();
-    if (has_truth) with_truth.push_back(&scenes.back());
+    if (has_true_depth(scenes.back())) with_truth.push_back(&scenes.back());
     const auto volume = middlebury_box(o.source->info().path);
     if (volume) with_volume.emplace_back(&scenes.back(), *volume);
     for (DepthWork& work : works_of(scenes.back(), is_flight, volume))

@@ -357,7 +357,7 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
                           signals.token(), &positions);
   }();
   if (!result) return tl::unexpected(result.error());
-  for (const std::string& message : result->counts.messages) log().warn("skipped: {}", message);
+  log_skipped(result->counts);
 
   std::optional<StreamNumbers> streamed;
   if (!result->mesh.empty())

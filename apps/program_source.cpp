@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "apps/option_checks.h"
+#include "core/log.h"
 #include "io/nearest_name.h"
 #include "replay/synthetic_flight.h"
 
@@ -189,6 +190,10 @@ std::string_view to_string(IntrinsicsOrigin origin) {
       return "guess";
   }
   return "?";
+}
+
+void log_skipped(const SourceCounts& counts) {
+  for (const std::string& message : counts.messages) log().warn("skipped: {}", message);
 }
 
 std::string describe(const SourceInfo& info) {
