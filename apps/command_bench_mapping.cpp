@@ -123,8 +123,9 @@ Expected<ExitCode> run_mapping(const MappingArguments& arguments, Context& conte
 
 Action add_bench_mapping(CLI::App& group) {
   auto a = std::make_shared<MappingArguments>();
-  CLI::App* command = group.add_subcommand(
-      "mapping", "Time and accuracy of depth maps, against the machine's peak");
+  CLI::App* command = group.add_subcommand("mapping",
+                                           "Time and accuracy of depth maps and of the surface by "
+                                           "graph cut, against the machine's peak");
   command->add_option("SOURCE", a->sources,
                       "With true poses: recordings with depth images (7-Scenes), Middlebury stills "
                       "(their volume), or `synthetic[:key=value,...]`");
