@@ -192,6 +192,20 @@ std::string_view to_string(IntrinsicsOrigin origin) {
   return "?";
 }
 
+std::string_view name_of(IntrinsicsOrigin origin) {
+  switch (origin) {
+    case IntrinsicsOrigin::calibration:
+      return "calibration";
+    case IntrinsicsOrigin::exif:
+      return "exif";
+    case IntrinsicsOrigin::nominal:
+      return "nominal";
+    case IntrinsicsOrigin::guess:
+      return "guess";
+  }
+  return "unknown";
+}
+
 void log_skipped(const SourceCounts& counts) {
   for (const std::string& message : counts.messages) log().warn("skipped: {}", message);
 }

@@ -76,6 +76,12 @@ TEST_F(ReplayTest, WritesTheFolderAndSpeaksJson) {
   EXPECT_EQ(options->frontend.max_tracks, 300);
   const json run = json::parse(read(folder_ / "run/run.json"));
   EXPECT_THAT(run.dump(), HasSubstr("corvid replay"));
+  EXPECT_EQ(run["source"], events.front()["source"]);
+  EXPECT_GT(run["cut"]["triangles"], 100);
+  EXPECT_GT(run["errors"]["cut"]["median_m"], 0);
+  EXPECT_GE(run["stream"]["changed_blocks"], run["stream"]["blocks"]);
+  EXPECT_GT(run["stream"]["blocks"], 0);
+  EXPECT_GT(run["stream"]["send_s"], 0);
   EXPECT_THAT(read(folder_ / "run/report.html"), HasSubstr("</html>"));
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder_), {}), 1)
       << "nothing but the run's folder is left";
