@@ -80,8 +80,7 @@ Expected<void> measure(const MappingArguments& arguments, std::vector<Opened>& o
     scene->name = o.name;
     scenes.push_back(std::move(*scene));
     const bool is_flight = &o == &opened.front();
-    const bool has_truth = o.source->info().has_depth || o.source->true_surface().has_value();
-    if (has_truth) with_truth.push_back(&scenes.back());
+    if (has_true_depth(scenes.back())) with_truth.push_back(&scenes.back());
     const auto volume = middlebury_box(o.source->info().path);
     if (volume) with_volume.emplace_back(&scenes.back(), *volume);
     for (DepthWork& work : works_of(scenes.back(), is_flight, volume))
@@ -124,8 +123,9 @@ Expected<ExitCode> run_mapping(const MappingArguments& arguments, Context& conte
 
 Action add_bench_mapping(CLI::App& group) {
   auto a = std::make_shared<MappingArguments>();
-  CLI::App* command = group.add_subcommand(
-      "mapping", "Time and accuracy of depth maps, against the machine's peak");
+  CLI::App* command = group.add_subcommand("mapping",
+                                           "Time and accuracy of depth maps and of the surface by "
+                                           "graph cut, against the machine's peak");
   command->add_option("SOURCE", a->sources,
                       "With true poses: recordings with depth images (7-Scenes), Middlebury stills "
                       "(their volume), or `synthetic[:key=value,...]`");

@@ -114,17 +114,20 @@ Action add_export_command(CLI::App& app) {
       ->check(CLI::IsMember({"ply", "obj", "glb", "glb-plain", "drc", "colmap"}));
   command
       ->add_option("--surface", a->surface,
-                   "live: the fused one; cut: the minimal one, of a run flown with --surface cut")
+                   "live: the fused one; cut: the minimal one, of a run flown with --surface "
+                   "cut or both")
       ->capture_default_str()
       ->check(CLI::IsMember({"live", "cut"}));
   command->add_option("--out", a->out,
                       "File (colmap: new folder) to write, through symbolic links, never a device "
-                      "or a pipe; default: inside the run's folder");
+                      "or a pipe; default: inside the run's folder; beside it while the run goes "
+                      "on");
   command->footer(R"(
 Examples:
   corvid export run --format ply                          run/mesh.ply
   corvid export run --format glb --surface cut            run/mesh-cut.glb
   corvid export run --format colmap --out for-openmvs     sparse/ and images/
+  corvid export run --format ply                          while the run goes on: run-live.ply
 )");
   return [a](Context& context) { return run(*a, context); };
 }

@@ -113,6 +113,20 @@ Truth compare(const RunResult& result, const SurfaceCut* cut, const FrameSource&
   return truth;
 }
 
+// The minimal surface if it was asked for; a note in the result where there can be none.
+std::optional<SurfaceCut> cut_if_asked(const FlightPlan& plan, RunResult& result,
+                                       const std::stop_token& stop) {
+  if (!plan.cut_surface) return {};
+  auto cut = cut_run(result, stop);
+  if (cut) return std::move(*cut);
+  result.interrupted = result.interrupted || cut.error().code == ErrorCode::interrupted;
+  const bool instead = !plan.live_surface && !result.mesh.empty();
+  result.notes.push_back(fmt::format("No surface by graph cut{}: {}",
+                                     instead ? " (the live one is there instead)" : "",
+                                     cut.error().to_string()));
+  return {};
+}
+
 // Why no frame got a pose: the reason that most frames gave.
 std::string commonest_reason(const RunResult& result) {
   std::map<std::string, std::size_t> reasons;
@@ -275,7 +289,8 @@ Json end_json(const RunResult& result, const RunNumbers& n, const Truth& truth, 
 
 // @param asked  a signal asked to stop; a run can also end early because its source or device
 // failed.
-ExitCode judge(const RunResult& result, const std::string& source, bool asked) {
+// @param without_cut  the surface by graph cut was asked for, and there is none.
+ExitCode judge(const RunResult& result, const std::string& source, bool asked, bool without_cut) {
   if (result.interrupted && asked) {
     log().warn("interrupted: this is what there was until then");
     return ExitCode::interrupted;
@@ -285,7 +300,10 @@ ExitCode judge(const RunResult& result, const std::string& source, bool asked) {
                 result.notes.empty() ? "the run ended early" : result.notes.back());
     return ExitCode::failure;
   }
-  if (!result.trajectory.empty()) return ExitCode::ok;
+  if (!result.trajectory.empty()) {
+    if (without_cut) log().error("{}: {}", source, result.notes.back());
+    return without_cut ? ExitCode::no_estimate : ExitCode::ok;
+  }
   if (result.counts.delivered == 0) {
     log().error("{}: not one frame could be read ({} skipped; `corvid info --check` says why)",
                 source, result.counts.skipped);
@@ -324,7 +342,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
     if (auto pushed = positions.push(fix); !pushed) log().warn("{}", pushed.error().to_string());
   }
   MeshStream stream;
-  auto live_export = LiveExportServer::start(plan.out, stream);
+  auto live_export =
+      LiveExportServer::start(plan.out, plan.options.mapping.enabled ? &stream : nullptr);
   auto result = [&] {
     Fanout listeners;
     listeners.add_mesh(&stream);
@@ -338,41 +357,33 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
                           signals.token(), &positions);
   }();
   if (!result) return tl::unexpected(result.error());
-  for (const std::string& message : result->counts.messages) log().warn("skipped: {}", message);
+  log_skipped(result->counts);
 
-  live_export.reset();
   std::optional<StreamNumbers> streamed;
   if (!result->mesh.empty())
     streamed = count_stream(stream, result->wall_s, plan.options.mapping.stream_bytes_per_s);
   place_on_earth(*result);
   if (const std::string note = unmatched(plan.positions, *result); !note.empty())
     result->notes.push_back(note);
-  std::optional<SurfaceCut> cut;
-  if (plan.cut_surface && !signals.token().stop_requested()) {
-    auto made = cut_run(*result, signals.token());
-    if (made) {
-      cut = std::move(*made);
-    } else {
-      result->interrupted = result->interrupted || made.error().code == ErrorCode::interrupted;
-      result->notes.push_back("No surface by graph cut: " + made.error().to_string());
-    }
-  }
+  const auto cut = cut_if_asked(plan, *result, signals.token());
   const SurfaceCut* cut_or_none = cut ? &*cut : nullptr;
   const Truth truth = compare(*result, cut_or_none, source, plan.truth);
   log().info("writing {}", plan.out.string());
   RunReportInput input{*result, truth.trajectory, truth.surface, CORVID_VERSION,
                        context.command_line};
-  input.live_surface = plan.live_surface;
+  input.live_surface = plan.live_surface || !cut;
   input.cut = cut_or_none;
   input.cut_errors = truth.cut;
   input.stream = streamed;
   if (auto written = write_run_folder(input, plan.out); !written) {
     return tl::unexpected(written.error());
   }
+  live_export
+      .reset();  // from here on the folder answers; until then an earlier run's may lie there
 
   const SourceInfo& info = player.info();
-  const ExitCode code =
-      judge(*result, info.kind + " " + info.path, signals.token().stop_requested());
+  const ExitCode code = judge(*result, info.kind + " " + info.path,
+                              signals.token().stop_requested(), plan.cut_surface && !cut);
   const RunNumbers numbers = count_run(*result);
   for (const std::string& line : summary(*result, numbers, cut_or_none, truth, plan.out)) {
     if (plan.json) {

@@ -19,14 +19,16 @@ struct FlightPlan {
   Options options;
   Trajectory truth;                    ///< instead of the source's own; empty: the source's own
   std::vector<PositionFix> positions;  ///< of the camera on Earth
-  bool live_surface = true, cut_surface = false;  ///< which meshes the folder gets
+  bool live_surface = true, cut_surface = false;  ///< which meshes the folder gets; the live one
+                                                  ///< stands in for a cut that cannot be
   std::filesystem::path out;
   bool json = false;
 };
 
 /// Runs the source, compares with the truth where there is any, writes the folder and sums up.
 /// The folder is written whenever the engine gave a result, even without a pose.
-/// @return ok; interrupted; no_estimate or bad_input if not a single pose came out.
+/// @return ok; interrupted; no_estimate or bad_input if not a single pose came out; no_estimate
+/// without the cut that was asked for.
 [[nodiscard]] Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& context);
 
 }  // namespace corvid

@@ -45,26 +45,29 @@ struct Arguments {
 
 /// The frames that have a true pose, of the first one's camera.
 Expected<std::vector<StillView>> read_views(FrameSource& source, const std::stop_token& stop) {
+  const auto no_pose = [&] {
+    return fail(ErrorCode::unsupported, "no image has a pose", source.info().path,
+                "depth of stills needs calibrated views: Middlebury, Strecha, or a COLMAP model; "
+                "`corvid replay` finds the poses of others");
+  };
+  if (source.truth().empty()) return no_pose();  // before everything is decoded
   std::vector<FramePtr> frames;
   std::vector<std::int64_t> times_ns;
   while (true) {
     auto frame = source.next(stop);
     if (!frame) return tl::unexpected(frame.error());
-    if (!*frame) break;
     if (stop.stop_requested()) return fail(ErrorCode::interrupted, "stopped", source.info().path);
+    if (!*frame) break;
     times_ns.push_back((*frame)->time_ns);
     frames.push_back(std::move(*frame));
   }
+  log_skipped(source.counts());
   const auto poses = true_poses(times_ns, source.truth());
   std::vector<StillView> views;
   for (std::size_t i = 0; i < std::min(frames.size(), poses.size()); ++i) {
     if (poses[i]) views.push_back({frames[i], *poses[i]});
   }
-  if (views.empty()) {
-    return fail(ErrorCode::unsupported, "no image has a pose", source.info().path,
-                "depth of stills needs calibrated views: Middlebury, Strecha, or a COLMAP model; "
-                "`corvid replay` finds the poses of others");
-  }
+  if (views.empty()) return no_pose();
   if (views.size() < frames.size())
     log().warn("{} of {} images have no pose and are left out", frames.size() - views.size(),
                frames.size());
@@ -107,6 +110,10 @@ Expected<SurfaceCut> surface_of(const Arguments& arguments, const FrameSource& s
     log().warn("the surface has voxels of {:.4g} instead of {:.4g}: --max-mb is {}",
                cut->voxel_size, options.voxel_size, arguments.max_mb);
   }
+  if (cut && cut->mesh.empty()) {
+    return fail(ErrorCode::not_found, "no voxel is inside", "surface cut",
+                arguments.open ? "without --open it is closed" : "");
+  }
   return cut;
 }
 
@@ -129,7 +136,7 @@ Expected<void> write_folder(const MvsRun& run, const TriangleMesh& points, Atomi
   if (!points.vertices.empty()) {
     if (auto written = write_mesh(points, folder.path() / "points.ply"); !written) return written;
   }
-  if (run.surface && !run.surface->mesh.empty()) {
+  if (run.surface) {
     auto written = write_mesh(run.surface->mesh, folder.path() / "surface.ply");
     if (!written) return written;
   }
@@ -138,12 +145,12 @@ Expected<void> write_folder(const MvsRun& run, const TriangleMesh& points, Atomi
 }
 
 Expected<ExitCode> run_mvs(const Arguments& arguments, Context& context) {
+  const SignalGuard signals;
   auto folder = AtomicFolder::create(arguments.out, kMarker);  // before minutes of work
   if (!folder) return tl::unexpected(folder.error());
   auto source = arguments.source.open();
   if (!source) return tl::unexpected(source.error());
   log().info("{}", describe((*source)->info()));
-  const SignalGuard signals;
   const auto views = read_views(**source, signals.token());
   if (!views) return tl::unexpected(views.error());
   const auto options = depth_options(arguments, *views->front().frame->camera);
@@ -170,8 +177,12 @@ Expected<ExitCode> run_mvs(const Arguments& arguments, Context& context) {
       log().warn("{}: {}", (*views)[d.map.keyframe.value].frame->name, d.refusal);
   }
   Expected<SurfaceCut> surface = SurfaceCut{};
-  if (!arguments.no_surface && maps > 0) {
-    surface = surface_of(arguments, **source, *views, *depths, signals.token());
+  if (!arguments.no_surface) {
+    if (maps > 0) {
+      surface = surface_of(arguments, **source, *views, *depths, signals.token());
+    } else {
+      surface = fail(ErrorCode::not_found, "no view has depth", "surface cut");
+    }
     if (surface) {
       run.surface = &*surface;
     } else {  // what there is so far is kept

@@ -27,7 +27,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   auto written = record(**source, arguments.out, signals.token());
   if (!written) return tl::unexpected(written.error());
   const SourceCounts counts = (*source)->counts();
-  for (const auto& message : counts.messages) log().warn("skipped: {}", message);
+  log_skipped(counts);
   context.out << fmt::format("{} frames, {} skipped: {}\n", *written, counts.skipped,
                              arguments.out);
   if (signals.token().stop_requested()) return ExitCode::interrupted;

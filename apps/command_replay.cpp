@@ -49,6 +49,11 @@ Expected<Options> resolve(const Arguments& arguments) {
   if (auto checked = check_options(*options, "options"); !checked) {
     return tl::unexpected(checked.error());
   }
+  if (arguments.surface != "live" && !options->mapping.enabled) {
+    return fail(ErrorCode::invalid_argument, "there are no depth maps to cut it from",
+                "--surface " + arguments.surface,
+                "leave out --no-mapping (mapping.enabled = false)");
+  }
   return options;
 }
 
@@ -85,7 +90,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   plan.positions = std::move(*positions);
   plan.source = std::move(*source);
   plan.live_surface = arguments.surface != "cut";
-  plan.cut_surface = arguments.surface != "live" && plan.options.mapping.enabled;
+  plan.cut_surface = arguments.surface != "live";
   plan.out = arguments.out;
   plan.json = arguments.json;
   return fly(std::move(plan), signals, context);

@@ -9,6 +9,7 @@
 
 #include <array>
 #include <cerrno>
+#include <chrono>
 #include <cstring>
 #include <map>
 #include <string>
@@ -23,6 +24,7 @@ namespace fs = std::filesystem;
 constexpr int kPoll_ms = 100;
 constexpr int kPatience_s = 30;                      // for a peer that neither reads nor writes
 constexpr std::uint32_t kMaxPacketBytes = 1U << 30;  // what is longer is not from us
+constexpr std::uint32_t kNoMapping = 0xFFFFFFFF;     // instead of a packet's length
 
 struct Address {
   sockaddr_un value{};
@@ -73,14 +75,14 @@ bool same_user(int fd) {
   return ::getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) == 0 && peer.uid == ::getuid();
 }
 
-bool send_all(int fd, std::string_view bytes) {
-  while (!bytes.empty()) {
+bool send_all(int fd, std::string_view bytes, const std::stop_token& stop) {
+  while (!bytes.empty() && !stop.stop_requested()) {
     const ssize_t n = ::send(fd, bytes.data(), bytes.size(), MSG_NOSIGNAL);
     if (n < 0 && errno == EINTR) continue;
     if (n <= 0) return false;
     bytes.remove_prefix(static_cast<std::size_t>(n));
   }
-  return true;
+  return bytes.empty();
 }
 
 bool receive_all(int fd, char* to, std::size_t size) {
@@ -94,14 +96,18 @@ bool receive_all(int fd, char* to, std::size_t size) {
   return true;
 }
 
-/// Every packet with its length before it, then a length of 0.
-void send_surface(int fd, const MeshStream& stream) {
+/// Every packet with its length before it, then a length of 0; kNoMapping without a stream.
+void send_surface(int fd, const MeshStream* stream, const std::stop_token& stop) {
   const auto send_size = [&](std::uint32_t size) {
-    return send_all(fd, {reinterpret_cast<const char*>(&size), sizeof(size)});
+    return send_all(fd, {reinterpret_cast<const char*>(&size), sizeof(size)}, stop);
   };
-  for (const MeshPacket& packet : stream.snapshot()) {
+  if (!stream) {
+    (void)send_size(kNoMapping);
+    return;
+  }
+  for (const MeshPacket& packet : stream->snapshot()) {
     const std::string bytes = encode_packet(packet);
-    if (!send_size(static_cast<std::uint32_t>(bytes.size())) || !send_all(fd, bytes)) return;
+    if (!send_size(static_cast<std::uint32_t>(bytes.size())) || !send_all(fd, bytes, stop)) return;
   }
   (void)send_size(0);
 }
@@ -134,7 +140,7 @@ class Welder {
 }  // namespace
 
 std::unique_ptr<LiveExportServer> LiveExportServer::start(const fs::path& run_dir,
-                                                          MeshStream& stream) {
+                                                          const MeshStream* stream) {
   Socket socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   const Address address = address_of(run_dir);
   if (socket.fd() < 0 ||
@@ -147,15 +153,19 @@ std::unique_ptr<LiveExportServer> LiveExportServer::start(const fs::path& run_di
   return std::unique_ptr<LiveExportServer>(new LiveExportServer(socket.release(), stream));
 }
 
-LiveExportServer::LiveExportServer(int fd, MeshStream& stream)
-    : fd_(fd), thread_([fd, &stream](const std::stop_token& stop) {
+LiveExportServer::LiveExportServer(int fd, const MeshStream* stream)
+    : fd_(fd), thread_([fd, stream](const std::stop_token& stop) {
         while (!stop.stop_requested()) {
           pollfd waiting{fd, POLLIN, 0};
           if (::poll(&waiting, 1, kPoll_ms) <= 0) continue;
           const Socket client(::accept4(fd, nullptr, nullptr, SOCK_CLOEXEC));
-          if (client.fd() < 0 || !same_user(client.fd())) continue;
+          if (client.fd() < 0) {  // too many open files, most likely: whoever waits goes on waiting
+            std::this_thread::sleep_for(std::chrono::milliseconds(kPoll_ms));
+            continue;
+          }
+          if (!same_user(client.fd())) continue;
           set_patience(client.fd(), 1);  // a stuck reader must not hold up the end of the run
-          send_surface(client.fd(), stream);
+          send_surface(client.fd(), stream, stop);
         }
       }) {}
 
@@ -167,19 +177,25 @@ LiveExportServer::~LiveExportServer() {
 
 Expected<std::optional<TriangleMesh>> fetch_live_surface(const fs::path& run_dir) {
   const Socket socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  if (socket.fd() < 0) return fail(ErrorCode::io, std::strerror(errno), run_dir.string());
+  set_patience(socket.fd(), kPatience_s);  // for the connection, too: the server may be busy
   const Address address = address_of(run_dir);
-  if (socket.fd() < 0 ||
-      ::connect(socket.fd(), reinterpret_cast<const sockaddr*>(&address.value), address.size) != 0)
-    return std::nullopt;
-  set_patience(socket.fd(), kPatience_s);
+  if (::connect(socket.fd(), reinterpret_cast<const sockaddr*>(&address.value), address.size) !=
+      0) {
+    if (errno != EAGAIN) return std::nullopt;
+    return fail(ErrorCode::io, "the running engine does not answer", run_dir.string(), "try again");
+  }
+  if (!same_user(socket.fd())) return std::nullopt;  // anybody can take such a name
   Welder welder;
   for (;;) {
     std::uint32_t size = 0;
     std::string bytes;
-    if (receive_all(socket.fd(), reinterpret_cast<char*>(&size), sizeof(size)) &&
-        size <= kMaxPacketBytes) {
+    if (receive_all(socket.fd(), reinterpret_cast<char*>(&size), sizeof(size))) {
       if (size == 0) return std::optional(std::move(welder.mesh));
-      bytes.resize(size);
+      if (size == kNoMapping)
+        return fail(ErrorCode::not_found, "the run that goes on maps nothing", run_dir.string(),
+                    "it was started with --no-mapping (mapping.enabled = false)");
+      if (size <= kMaxPacketBytes) bytes.resize(size);
     }
     if (bytes.empty() || !receive_all(socket.fd(), bytes.data(), size))
       return fail(ErrorCode::io, "the running engine broke off", run_dir.string(),

@@ -19,15 +19,15 @@ class LiveExportServer {
  public:
   /// Serves until it is destroyed. nullptr, with a note in the log, if another run to that folder
   /// serves already or the system has no such sockets: the run goes on without.
-  /// @param stream  outlives the server.
+  /// @param stream  outlives the server; null: the run maps nothing, and whoever asks is told so.
   [[nodiscard]] static std::unique_ptr<LiveExportServer> start(const std::filesystem::path& run_dir,
-                                                               MeshStream& stream);
+                                                               const MeshStream* stream);
   ~LiveExportServer();
   LiveExportServer(const LiveExportServer&) = delete;
   LiveExportServer& operator=(const LiveExportServer&) = delete;
 
  private:
-  LiveExportServer(int fd, MeshStream& stream);
+  LiveExportServer(int fd, const MeshStream* stream);
   int fd_;
   std::jthread thread_;
 };
@@ -35,7 +35,7 @@ class LiveExportServer {
 /// The surface of the run that is writing to that folder right now, as it was at one moment, in map
 /// units in the frame of the first keyframe; nothing if none is running. Vertices where blocks meet
 /// are welded.
-/// Errors: io (it ended meanwhile), corrupt.
+/// Errors: io (it ended meanwhile, or does not answer), not_found (it maps nothing), corrupt.
 [[nodiscard]] Expected<std::optional<TriangleMesh>> fetch_live_surface(
     const std::filesystem::path& run_dir);
 

@@ -2,13 +2,17 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <vector>
 
+#include "apps/program_source.h"
 #include "core/associate.h"
+#include "core/log.h"
 #include "io/depth_file.h"
+#include "io/readers/readers.h"
 #include "replay/synthetic_flight.h"
 
 namespace corvid {
@@ -20,9 +24,7 @@ namespace fs = std::filesystem;
 Expected<FloatImage> kinect_depth(const fs::path& folder, const Frame& frame) {
   constexpr double kDepthFocal_px = 585;
   const std::string stem = frame.name.substr(0, frame.name.find('.'));
-  fs::path path = folder / (stem + ".depth.png");
-  if (!fs::exists(path)) path = folder / "data" / (stem + ".depth.png");
-  const auto depth = read_depth_image(path.string());
+  const auto depth = read_depth_image((folder / (stem + ".depth.png")).string());
   if (!depth) return tl::unexpected(depth.error());
   const Camera& camera = *frame.camera;
   const double scale_x = kDepthFocal_px / camera.fx_px, scale_y = kDepthFocal_px / camera.fy_px;
@@ -46,6 +48,7 @@ Expected<MappingScene> read_mapping_scene(FrameSource& source, int step, int cou
   scene.name = source.info().path;
   auto* flight = dynamic_cast<SyntheticFlight*>(&source);
   const bool kinect = source.info().kind == "7-Scenes" && source.info().has_depth;
+  const fs::path depth_folder = kinect ? seven_scenes_frames(scene.name) : fs::path();
   std::vector<FramePtr> frames;
   std::vector<std::int64_t> times_ns;
   for (int i = 0; static_cast<int>(frames.size()) < count; ++i) {
@@ -63,20 +66,22 @@ Expected<MappingScene> read_mapping_scene(FrameSource& source, int step, int cou
     if (stop.stop_requested())
       return fail(ErrorCode::interrupted, "stopped while reading", scene.name);
   }
+  log_skipped(source.counts());
   const auto poses = true_poses(times_ns, source.truth());
   for (std::size_t i = 0; i < frames.size(); ++i) {
     if (i >= poses.size() || !poses[i]) continue;
     if (!scene.views.empty() && !(*frames[i]->camera == *scene.views.front().frame->camera))
       continue;
-    TrueView view{frames[i], *poses[i], {}};
+    TrueView view{frames[i], *poses[i],
+                  FloatImage(frames[i]->grey.width(), frames[i]->grey.height())};
     if (flight) {
       view.depth = flight->render_depth(i * static_cast<std::size_t>(step));
     } else if (kinect) {
-      auto depth = kinect_depth(source.info().path, *frames[i]);
-      if (!depth) return tl::unexpected(depth.error());
-      view.depth = std::move(*depth);
-    } else {
-      view.depth = FloatImage(frames[i]->grey.width(), frames[i]->grey.height());
+      if (auto depth = kinect_depth(depth_folder, *frames[i])) {
+        view.depth = std::move(*depth);
+      } else {
+        log().warn("without true depth: {}", depth.error().to_string());
+      }
     }
     scene.views.push_back(std::move(view));
   }
@@ -87,6 +92,13 @@ Expected<MappingScene> read_mapping_scene(FrameSource& source, int step, int cou
                 scene.name, "depth needs 5 of them");
   }
   return scene;
+}
+
+bool has_true_depth(const MappingScene& scene) {
+  return std::any_of(scene.views.begin(), scene.views.end(), [](const TrueView& view) {
+    return std::any_of(view.depth.data(), view.depth.data() + view.depth.size(),
+                       [](float z) { return z > 0; });
+  });
 }
 
 std::optional<Eigen::AlignedBox3d> middlebury_box(const std::string& folder) {

@@ -123,7 +123,7 @@ std::string match_json(const MatchRun& run) {
                  {"width_px", image.grey.width()},
                  {"height_px", image.grey.height()},
                  {"camera", to_json(image.camera)},
-                 {"intrinsics", to_string(image.intrinsics)},
+                 {"intrinsics", name_of(image.intrinsics)},
                  {"points", run.views[i].points.size()},
                  {"notes", image.notes}};
     if (i >= 2) json["matches"] = run.auxiliary[i - 2].matches.size();

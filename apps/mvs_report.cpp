@@ -78,7 +78,6 @@ std::string surface(const MvsRun& run) {
   }
   const SurfaceCut& cut = *run.surface;
   const SurfaceCutStatistics& s = cut.statistics;
-  if (cut.mesh.empty()) return html_nothing("No voxel is inside.");
   const std::size_t unpaired = unpaired_sides(cut.mesh);
   std::string html = html_table(
       {{"what"}, {"value", true}},

@@ -16,7 +16,7 @@ struct MvsRun {
   std::span<const StillDepth> depths;
   std::size_t points = 0;               ///< that at least 3 views agree on
   double seconds = 0;                   ///< of depth maps and points
-  const SurfaceCut* surface = nullptr;  ///< null if there is none
+  const SurfaceCut* surface = nullptr;  ///< null if there is none; else with triangles
   std::string no_surface{};             ///< why not; empty if none was asked for
 };
 

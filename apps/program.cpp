@@ -38,13 +38,15 @@ Environment:
   CORVID_KERNEL_DIR  reads the OpenCL kernels from this folder (for kernel development)
   XDG_CACHE_HOME     where compiled kernels are kept (default ~/.cache)
   POCL_CACHE_DIR     where PoCL, the CPU's OpenCL, keeps its own
+  CORVID_TUNING      off: nothing is measured or kept, the built-in ways of computing are taken
   OCL_ICD_VENDORS    which OpenCL drivers are seen
 
 Exit codes:
   0 done   1 unexpected failure, or the source or device failed during the run: what there was
   is saved   2 wrong arguments   3 not found
   4 corrupt or unsupported input   5 no usable OpenCL device
-  6 it went through without a result: not one pose, or no geometry that two images have in common
+  6 it went through without a result: not one pose, no geometry that two images have in common,
+  no surface by graph cut, or stills without depth or surface
   130 interrupted, what there was is saved
 )";
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "apps/option_checks.h"
+#include "core/log.h"
 #include "io/nearest_name.h"
 #include "replay/synthetic_flight.h"
 
@@ -189,6 +190,24 @@ std::string_view to_string(IntrinsicsOrigin origin) {
       return "guess";
   }
   return "?";
+}
+
+std::string_view name_of(IntrinsicsOrigin origin) {
+  switch (origin) {
+    case IntrinsicsOrigin::calibration:
+      return "calibration";
+    case IntrinsicsOrigin::exif:
+      return "exif";
+    case IntrinsicsOrigin::nominal:
+      return "nominal";
+    case IntrinsicsOrigin::guess:
+      return "guess";
+  }
+  return "unknown";
+}
+
+void log_skipped(const SourceCounts& counts) {
+  for (const std::string& message : counts.messages) log().warn("skipped: {}", message);
 }
 
 std::string describe(const SourceInfo& info) {

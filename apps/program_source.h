@@ -31,5 +31,9 @@ struct SourceArguments {
 /// "EuRoC/ASL ../MH_05: 300 frames, 752x480, 20 Hz, radtan, intrinsics from calibration".
 [[nodiscard]] std::string describe(const SourceInfo& info);
 [[nodiscard]] std::string_view to_string(IntrinsicsOrigin origin);
+/// The same for programs: calibration, exif, nominal, guess.
+[[nodiscard]] std::string_view name_of(IntrinsicsOrigin origin);
+/// Warns of every frame that could not be read.
+void log_skipped(const SourceCounts& counts);
 
 }  // namespace corvid

@@ -48,7 +48,7 @@ Json to_json(const SourceInfo& info) {
   json["paced"] = info.paced;
   json["colour"] = info.colour;
   json["camera"] = info.camera ? to_json(*info.camera) : Json();
-  json["intrinsics"] = to_string(info.intrinsics);
+  json["intrinsics"] = name_of(info.intrinsics);
   json["has_depth"] = info.has_depth;
   json["notes"] = info.notes;
   return json;

@@ -20,36 +20,6 @@ Json of(const Statistics& s) {
           {"median", s.median}, {"p90", s.p90},   {"max", s.max}};
 }
 
-const char* name_of(IntrinsicsOrigin origin) {
-  switch (origin) {
-    case IntrinsicsOrigin::calibration:
-      return "calibration";
-    case IntrinsicsOrigin::exif:
-      return "exif";
-    case IntrinsicsOrigin::nominal:
-      return "nominal";
-    case IntrinsicsOrigin::guess:
-      return "guess";
-  }
-  return "unknown";
-}
-
-Json source_of(const SourceInfo& source) {
-  Json out = {{"kind", source.kind},
-              {"path", source.path},
-              {"frames", nullptr},
-              {"rate_hz", source.rate_hz},
-              {"stills", source.stills},
-              {"paced", source.paced},
-              {"colour", source.colour},
-              {"camera", nullptr},
-              {"intrinsics", name_of(source.intrinsics)}};
-  if (source.frames) out["frames"] = *source.frames;
-  if (source.camera) out["camera"] = to_json(*source.camera);
-  out["notes"] = source.notes;
-  return out;
-}
-
 Json trajectory_errors_of(const TrajectoryErrors& e) {
   Json out;
   out["problem"] = e.problem.empty() ? Json(nullptr) : Json(e.problem);
@@ -102,7 +72,7 @@ std::string report_json(const ReportFacts& facts) {
                     {"system", facts.machine.system},
                     {"cores", facts.machine.cores},
                     {"memory_bytes", facts.machine.memory_bytes}};
-  out["source"] = source_of(result.source);
+  out["source"] = to_json(result.source);
   out["wall_s"] = result.wall_s;
   out["peak_memory_bytes"] = result.peak_memory_bytes;
   out["frames"] = {{"delivered", n.delivered},

@@ -11,6 +11,8 @@
 namespace corvid {
 namespace {
 
+constexpr const char* kWhere = "surface cut";
+
 /// A depth map and the keyframe that it belongs to.
 struct Seen {
   DepthMap depth;
@@ -52,10 +54,11 @@ ColourImage colours_of(const Seen& seen, const Camera& lens) {
 }  // namespace
 
 Expected<SurfaceCut> cut_run(const RunResult& result, const std::stop_token& stop) {
+  if (stop.stop_requested()) return fail(ErrorCode::interrupted, "asked to stop", kWhere);
   const std::vector<Seen> seen = largest_segment(result);
   if (seen.empty()) {
-    return fail(ErrorCode::not_found, "the run has no depth map", "surface cut",
-                "it was flown with --no-mapping, or saw too little to map");
+    return fail(ErrorCode::not_found, "the run has no depth map", kWhere,
+                "it saw too little to map");
   }
   std::vector<ColourImage> colours;
   std::vector<SurfaceCutView> views;
@@ -79,6 +82,10 @@ Expected<SurfaceCut> cut_run(const RunResult& result, const std::stop_token& sto
                                             log().info("cutting the surface: {}", stage);
                                           }});
   if (!cut) return cut;
+  if (cut->mesh.empty()) {
+    return fail(ErrorCode::not_found, "no voxel is inside", kWhere,
+                "a larger mapping.cut_ballooning fills more");
+  }
   const SurfaceCutStatistics& s = cut->statistics;
   log().info(
       "the cut: {} voxels of {:.4g}, {} near points; graph {:.2f} s, maximum flow {:.2f} s, mesh "

@@ -11,7 +11,8 @@ namespace corvid {
 /// result, with the options mapping.cut_*; voxels as large as the live map's unless these say
 /// otherwise. Of the map segment with the most depth maps, since segments have no common frame.
 /// Tells the log what it does.
-/// Errors: as cut_surface(); not_found if the run has no depth map.
+/// Errors: as cut_surface(); not_found if the run has no depth map or no voxel is
+/// inside.
 [[nodiscard]] Expected<SurfaceCut> cut_run(const RunResult& result, const std::stop_token& stop);
 
 }  // namespace corvid

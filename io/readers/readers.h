@@ -32,6 +32,9 @@ bool recognises_mono_vo(const std::filesystem::path& folder);
 Expected<ImageList> read_mono_vo(const std::filesystem::path& folder);
 bool recognises_seven_scenes(const std::filesystem::path& folder);
 Expected<ImageList> read_seven_scenes(const std::filesystem::path& folder);
+/// Where its frames lie: the folder itself, its data/, or its only seq-NN.
+/// @pre recognises_seven_scenes(folder).
+[[nodiscard]] std::filesystem::path seven_scenes_frames(const std::filesystem::path& folder);
 bool recognises_colmap(const std::filesystem::path& folder);
 Expected<ImageList> read_colmap(const std::filesystem::path& folder);
 bool recognises_middlebury(const std::filesystem::path& folder);

@@ -53,6 +53,8 @@ std::optional<Pose> read_pose(const fs::path& path) {
 
 bool recognises_seven_scenes(const fs::path& folder) { return !frame_folders(folder).empty(); }
 
+fs::path seven_scenes_frames(const fs::path& folder) { return frame_folders(folder).front(); }
+
 Expected<ImageList> read_seven_scenes(const fs::path& given) {
   const std::vector<fs::path> folders = frame_folders(given);
   if (folders.size() > 1) {

@@ -124,6 +124,9 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
       {{"bench", "tracking", "synthetic", "--count", "0"}, "--count"},
       {{"bench", "tracking", "synthetic", "--json", folder_.string()}, "is a folder"},
       {{"bench", "tracking", "synthetic:seeed=1"}, "seeed"},
+      {{"bench", "mapping", "synthetic", "--count", "4"}, "--count"},
+      {{"bench", "mapping", "synthetic", "--json", folder_.string()}, "is a folder"},
+      {{"bench", "mapping", "synthetic:seeed=1"}, "seeed"},
   };
   for (const Case& c : cases) {
     const Ran ran = corvid_run(c.arguments);
@@ -133,6 +136,7 @@ TEST_F(BenchTest, WrongArgumentsAreNamed) {
   }
   EXPECT_THAT(corvid_run({"bench", "--help"}).out, AllOf(HasSubstr("ncc"), HasSubstr("matching")));
   EXPECT_EQ(corvid_run({"bench", "matching", path("nowhere")}).code, 3);
+  EXPECT_EQ(corvid_run({"bench", "mapping", path("nowhere")}).code, 3);
   EXPECT_THAT(corvid_run({"bench", "ncc", "--help"}).out, HasSubstr("--templates"));
   EXPECT_EQ(corvid_run({"bench", "ncc", "--device", "99"}).code, 5);
 }
@@ -151,25 +155,6 @@ TEST_F(BenchTest, AFileThatCannotBeWrittenIsFoundOutBeforeMeasuring) {
     EXPECT_THAT(ran.out, IsEmpty());
   }
 }
-
-// Sends SIGINT to this process, once, when a line with `text` has gone through it.
-class SignallingBuffer : public std::stringbuf {
- public:
-  explicit SignallingBuffer(std::string text) : text_(std::move(text)) {}
-
- protected:
-  int sync() override {
-    if (!sent_ && str().find(text_) != std::string::npos) {
-      sent_ = true;
-      std::raise(SIGINT);
-    }
-    return 0;
-  }
-
- private:
-  std::string text_;
-  bool sent_ = false;
-};
 
 TEST_F(BenchTest, SigintKeepsTheFinishedRowsAndEndsWith130) {
   SignallingBuffer buffer("dense: ");  // the line of the first row

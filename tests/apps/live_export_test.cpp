@@ -33,7 +33,7 @@ void give(MeshStream& stream, std::uint64_t version, float z) {
 TEST(LiveExport, TheSurfaceOfOneMomentWelded) {
   const TemporaryFolder folder;
   MeshStream stream;
-  const auto server = LiveExportServer::start(folder / "run", stream);
+  const auto server = LiveExportServer::start(folder / "run", &stream);
   ASSERT_TRUE(server);
   const auto empty = fetch_live_surface(folder / "run");
   ASSERT_TRUE(empty && *empty);
@@ -51,7 +51,7 @@ TEST(LiveExport, TheSurfaceOfOneMomentWelded) {
 TEST(LiveExport, NoHalfVersionIsHandedOut) {
   const TemporaryFolder folder;
   MeshStream stream;
-  const auto server = LiveExportServer::start(folder / "run", stream);
+  const auto server = LiveExportServer::start(folder / "run", &stream);
   ASSERT_TRUE(server);
   give(stream, 1, 1.0F);
   const auto expect_all_at = [&](float z) {
@@ -75,10 +75,10 @@ TEST(LiveExport, NothingRunsNothingIsLeft) {
   EXPECT_FALSE(none->has_value());
   MeshStream stream;
   {
-    const auto server = LiveExportServer::start(folder / "run", stream);
+    const auto server = LiveExportServer::start(folder / "run", &stream);
     ASSERT_TRUE(server);
-    EXPECT_FALSE(LiveExportServer::start(folder / "run", stream)) << "one at a time";
-    EXPECT_TRUE(LiveExportServer::start(folder / "other", stream));
+    EXPECT_FALSE(LiveExportServer::start(folder / "run", &stream)) << "one at a time";
+    EXPECT_TRUE(LiveExportServer::start(folder / "other", &stream));
   }
   const auto after = fetch_live_surface(folder / "run");
   ASSERT_TRUE(after);
@@ -86,19 +86,19 @@ TEST(LiveExport, NothingRunsNothingIsLeft) {
   // Nor after a kill that nobody can catch.
   const pid_t child = ::fork();
   if (child == 0) {
-    const auto killed = LiveExportServer::start(folder / "run", stream);
+    const auto killed = LiveExportServer::start(folder / "run", &stream);
     ::raise(SIGKILL);
   }
   int status = 0;
   ::waitpid(child, &status, 0);
   ASSERT_TRUE(WIFSIGNALED(status));
-  EXPECT_TRUE(LiveExportServer::start(folder / "run", stream));
+  EXPECT_TRUE(LiveExportServer::start(folder / "run", &stream));
 }
 
 TEST(LiveExport, TheCommandWritesBesideTheFolderThatIsNotThereYet) {
   const TemporaryFolder folder;
   MeshStream stream;
-  const auto server = LiveExportServer::start(folder / "run", stream);
+  const auto server = LiveExportServer::start(folder / "run", &stream);
   const std::string run = (folder / "run").string();
   const Ran early = corvid_run({"export", run, "--format", "ply"});
   EXPECT_EQ(early.code, 3);
@@ -111,6 +111,30 @@ TEST(LiveExport, TheCommandWritesBesideTheFolderThatIsNotThereYet) {
     ASSERT_TRUE(mesh) << mesh.error().to_string();
     EXPECT_EQ(mesh->triangles.size(), 10U);
   }
+}
+
+TEST(LiveExport, ARunWithoutMappingSaysSo) {
+  const TemporaryFolder folder;
+  const auto server = LiveExportServer::start(folder / "run", nullptr);
+  ASSERT_TRUE(server);
+  const Ran ran = corvid_run({"export", (folder / "run").string(), "--format", "ply"});
+  EXPECT_EQ(ran.code, 3);
+  EXPECT_THAT(ran.err, ::testing::HasSubstr("maps nothing"));
+}
+
+TEST(LiveExport, WhoeverElseTookTheNameIsNotBelieved) {
+  if (::geteuid() != 0) GTEST_SKIP() << "only root can be somebody else for a moment";
+  const TemporaryFolder folder;
+  MeshStream stream;
+  give(stream, 1, 1.0F);
+  constexpr uid_t kNobody = 65534;
+  ASSERT_EQ(::seteuid(kNobody), 0);
+  const auto server = LiveExportServer::start(folder / "run", &stream);
+  ASSERT_EQ(::seteuid(0), 0);
+  ASSERT_TRUE(server);
+  const auto mesh = fetch_live_surface(folder / "run");
+  ASSERT_TRUE(mesh);
+  EXPECT_FALSE(mesh->has_value());
 }
 
 }  // namespace

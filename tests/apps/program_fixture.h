@@ -3,11 +3,14 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "apps/program.h"
@@ -32,6 +35,32 @@ inline Ran corvid_run(const std::vector<std::string>& arguments, bool terminal =
   ran.err = err.str();
   return ran;
 }
+
+/// Does something, once, when a line with `text` has gone through it.
+class WatchingBuffer : public std::stringbuf {
+ public:
+  WatchingBuffer(std::string text, std::function<void()> action)
+      : text_(std::move(text)), action_(std::move(action)) {}
+
+ protected:
+  int sync() override {
+    if (action_ && str().find(text_) != std::string::npos) std::exchange(action_, nullptr)();
+    return 0;
+  }
+
+ private:
+  std::string text_;
+  std::function<void()> action_;
+};
+
+/// Sends SIGINT to this process, `times` times, when a line with `text` has gone through it.
+class SignallingBuffer : public WatchingBuffer {
+ public:
+  explicit SignallingBuffer(std::string text, int times = 1)
+      : WatchingBuffer(std::move(text), [times] {
+          for (int i = 0; i < times; ++i) std::raise(SIGINT);
+        }) {}
+};
 
 /// A folder of its own for each test, removed at its end.
 class ProgramTest : public ::testing::Test {

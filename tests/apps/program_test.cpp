@@ -68,6 +68,8 @@ TEST(Program, WrongUsageIsTwoAndNamesTheNearest) {
       {{"replay", "synthetic", "--out", "y", "--set", "threads"}, "threads is not KEY=VALUE"},
       {{"replay", "synthetic", "--out", "y", "--set", "thread=1"}, "did you mean threads?"},
       {{"replay", "synthetic", "--out", "y", "--threads", "-4"}, "threads"},
+      {{"replay", "synthetic", "--out", "y", "--surface", "cut", "--no-mapping"},
+       "no depth maps to cut it from"},
       {{"info", "synthetic:sede=3"}, "did you mean seed?"},
       {{"info", "synthetic:seed=x"}, "`x` is not a value of seed"},
       {{"info", "synthetic:path=moon"}, "survey, orbit"},

@@ -8,9 +8,9 @@
 #include <csignal>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
-#include <streambuf>
 
 #include "apps/command_flight.h"
+#include "apps/live_export.h"
 #include "apps/signal_guard.h"
 #include "apps/talk.h"
 #include "core/log.h"
@@ -76,6 +76,12 @@ TEST_F(ReplayTest, WritesTheFolderAndSpeaksJson) {
   EXPECT_EQ(options->frontend.max_tracks, 300);
   const json run = json::parse(read(folder_ / "run/run.json"));
   EXPECT_THAT(run.dump(), HasSubstr("corvid replay"));
+  EXPECT_EQ(run["source"], events.front()["source"]);
+  EXPECT_GT(run["cut"]["triangles"], 100);
+  EXPECT_GT(run["errors"]["cut"]["median_m"], 0);
+  EXPECT_GE(run["stream"]["changed_blocks"], run["stream"]["blocks"]);
+  EXPECT_GT(run["stream"]["blocks"], 0);
+  EXPECT_GT(run["stream"]["send_s"], 0);
   EXPECT_THAT(read(folder_ / "run/report.html"), HasSubstr("</html>"));
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder_), {}), 1)
       << "nothing but the run's folder is left";
@@ -226,25 +232,9 @@ TEST_F(ReplayTest, ASourceThatFailsLeavesAPartialRunAndEndsWithOne) {
   }
 }
 
-// A stream buffer that sends a signal to this process when the n-th line goes through it.
-class SignallingBuffer : public std::stringbuf {
- public:
-  SignallingBuffer(int line, int times) : line_(line), times_(times) {}
-
- protected:
-  int sync() override {
-    if (++seen_ == line_) {
-      for (int i = 0; i < times_; ++i) std::raise(SIGINT);
-    }
-    return 0;
-  }
-
- private:
-  int line_, times_, seen_ = 0;
-};
-
 TEST_F(ReplayTest, SigintSavesWhatThereIsAndEndsWith130) {
-  SignallingBuffer buffer(40, 2);  // well within the flight; the second one must change nothing
+  SignallingBuffer buffer("\"frame\":38,",
+                          2);  // well within the flight; the second one must change nothing
   std::ostream out(&buffer);
   std::ostringstream err;
   const std::string run = path("run");
@@ -261,6 +251,47 @@ TEST_F(ReplayTest, SigintSavesWhatThereIsAndEndsWith130) {
   EXPECT_LT(events.size(), 400U) << "it stopped long before the 600 frames of the flight";
   EXPECT_TRUE(std::filesystem::exists(folder_ / "run/report.html"));
   EXPECT_TRUE(read_trajectory(path("run/trajectory.txt")));
+}
+
+TEST_F(ReplayTest, WithoutTheCutThatWasAskedForTheLiveSurfaceIsThere) {
+  // Stopped while flying, as soon as there is a mesh, and while the cut is under way.
+  for (const char* moment : {"\"event\":\"mesh\"", "cutting the surface"}) {
+    SignallingBuffer out_buffer(moment), err_buffer(moment);
+    std::ostream out(&out_buffer), err(&err_buffer);
+    const std::string run = path("run");
+    const char* argv[] = {"corvid",    "replay", kFlight,     "--out",
+                          run.c_str(), "--json", "--surface", "cut"};
+    EXPECT_EQ(run_program(8, argv, Context{out, err}), 130) << err_buffer.str();
+    EXPECT_TRUE(std::filesystem::exists(folder_ / "run/mesh.glb")) << moment;
+    EXPECT_FALSE(std::filesystem::exists(folder_ / "run/mesh-cut.drc"));
+    const json numbers = json::parse(read(folder_ / "run/run.json"));
+    EXPECT_EQ(numbers["interrupted"], true) << moment;
+    EXPECT_THAT(numbers["notes"].back().get<std::string>(),
+                AllOf(HasSubstr("No surface by graph cut"), HasSubstr("asked to stop")));
+  }
+  // Depth maps that answer nowhere.
+  const Ran none = corvid_run({"replay", kFlight, "--out", path("run"), "--surface", "cut", "--set",
+                               "mapping.min_views=4", "--set", "mapping.min_score=0.99"});
+  EXPECT_EQ(none.code, static_cast<int>(ExitCode::no_estimate)) << none.err;
+  EXPECT_THAT(none.err, HasSubstr("No surface by graph cut"));
+}
+
+TEST_F(ReplayTest, TheLiveSurfaceCanBeHadUntilTheFolderIsThere) {
+  // Comparing and writing take time; meanwhile the folder is absent, or is an earlier run's.
+  const std::string run = path("run");
+  std::size_t triangles = 0;
+  WatchingBuffer buffer("writing " + run, [&] {
+    const auto mesh = fetch_live_surface(run);
+    if (mesh && *mesh) triangles = (*mesh)->triangles.size();
+  });
+  std::ostream err(&buffer);
+  std::ostringstream out;
+  const char* argv[] = {"corvid", "replay", kFlight, "--out", run.c_str()};
+  ASSERT_EQ(run_program(5, argv, Context{out, err}), 0) << buffer.str();
+  EXPECT_GT(triangles, 100U);
+  const auto after = fetch_live_surface(run);
+  ASSERT_TRUE(after);
+  EXPECT_FALSE(after->has_value());
 }
 
 TEST(SignalGuard, TheThirdSignalEndsTheProcess) {
