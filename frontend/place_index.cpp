@@ -1,5 +1,6 @@
 #include "frontend/place_index.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -74,13 +75,12 @@ double similarity(const PlaceDescriptor& a, const PlaceDescriptor& b) {
       float ab = 0, aa = 0, bb = 0;
       const int width = kColumns - std::abs(sx);
       for (int row = std::max(0, -sy); row < std::min(kRows, kRows - sy); ++row) {
-        const float* const pa = a.values.data() + cell_offset(row, std::max(0, -sx));
-        const float* const pb = b.values.data() + cell_offset(row + sy, std::max(0, sx));
-        for (int k = 0; k < width * kBins; ++k) {
-          ab += pa[k] * pb[k];
-          aa += pa[k] * pa[k];
-          bb += pb[k] * pb[k];
-        }
+        using Row = Eigen::Map<const Eigen::VectorXf>;
+        const Row pa(a.values.data() + cell_offset(row, std::max(0, -sx)), width * kBins);
+        const Row pb(b.values.data() + cell_offset(row + sy, std::max(0, sx)), width * kBins);
+        ab += pa.dot(pb);
+        aa += pa.squaredNorm();
+        bb += pb.squaredNorm();
       }
       if (!(aa > 0) || !(bb > 0)) continue;
       const double score = static_cast<double>(ab) / std::sqrt(static_cast<double>(aa) * bb);
