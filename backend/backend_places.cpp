@@ -46,7 +46,7 @@ void Backend::Impl::recognise(const PlaceMatch& match) {
     const PlaceOutcome outcome = recognise_keyframe(map, frames, fused, k, place, options, threads);
     refusal = outcome.reason;
     using Kind = PlaceOutcome::Kind;
-    changed = outcome.kind != Kind::refused;
+    changed = outcome.kind == Kind::loop || outcome.kind == Kind::merge;
     places.connections += outcome.kind == Kind::connected ? 1 : 0;
     places.loops += outcome.kind == Kind::loop ? 1 : 0;
     places.merges += outcome.kind == Kind::merge ? 1 : 0;
@@ -62,6 +62,8 @@ void Backend::Impl::recognise(const PlaceMatch& match) {
       doubt.jump();
       ++resets;
     }
+    // A mere connection fits already: the next keyframe's adjustment has it.
+    if (outcome.kind == Kind::connected) publish_motion(newest_observations);
     if (changed && mode == Mode::tracking) adjust_newest();
   } else if (place.ok && lost != waiting.end()) {
     const FrameTracks tracks = *lost;

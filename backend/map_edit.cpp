@@ -21,7 +21,6 @@ std::vector<KeyframeView>::iterator view_in(MapTrack& track, int keyframe) {
 void insert_track(MapKeyframe& keyframe, TrackId id) {
   const auto at = std::lower_bound(keyframe.tracks.begin(), keyframe.tracks.end(), id);
   if (at == keyframe.tracks.end() || *at != id) keyframe.tracks.insert(at, id);
-  keyframe.published = nullptr;
 }
 
 MapKeyframe& keyframe_at(MapData& map, int k) { return map.keyframes[static_cast<std::size_t>(k)]; }
@@ -105,6 +104,7 @@ void add_view(MapData& map, int keyframe, const TrackObservation& seen) {
   if (at != it->second.views.end() && at->keyframe == keyframe) return;
   it->second.views.insert(at, {keyframe, seen.pixel, *ray, floored_sigma_px(seen)});
   insert_track(keyframe_at(map, keyframe), seen.track);
+  keyframe_at(map, keyframe).published = nullptr;
 }
 
 int connect_place(MapData& map, int query, const PlacePose& place,

@@ -22,6 +22,7 @@ struct Part {
   BundleProblem problem;
   std::vector<int> keyframes;     // of each pose
   std::vector<MapTrack*> tracks;  // of each point
+  std::vector<TrackId> ids;       // of each point
 };
 
 constexpr std::size_t kMostFixedViews = 6;  ///< of a landmark, in keyframes that do not move
@@ -69,6 +70,7 @@ Part collect(MapData& map, const std::vector<std::uint8_t>& moving, int first) {
     MapTrack& track = it->second;
     const int point = static_cast<int>(part.tracks.size());
     part.tracks.push_back(&track);
+    part.ids.push_back(id);
     part.problem.points.push_back(track.p_world);
     for (const KeyframeView* v : views_that_count(track, first, moving)) {
       const auto k = static_cast<std::size_t>(v->keyframe);
@@ -118,10 +120,14 @@ void write_back(MapData& map, const Part& part, bool camera_changed) {
     if (part.problem.fixed[i] != 0) continue;
     MapKeyframe& keyframe = map.keyframes[static_cast<std::size_t>(part.keyframes[i])];
     keyframe.T_world_camera = part.problem.T_world_camera[i];
-    keyframe.published = nullptr;
+    if (!keyframe.published) continue;
+    auto moved = std::make_shared<Keyframe>(*keyframe.published);  // it sees what it saw
+    moved->T_world_camera = keyframe.T_world_camera;
+    keyframe.published = std::move(moved);
   }
   for (std::size_t i = 0; i < part.tracks.size(); ++i) {
     part.tracks[i]->p_world = part.problem.points[i];
+    map.stale_landmarks.insert(chunk_of(part.ids[i]));
   }
   if (camera_changed) map.set_camera(part.problem.camera);
 }
