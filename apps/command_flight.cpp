@@ -59,10 +59,11 @@ class Fanout final : public PoseSink, public MeshSink {
   std::vector<MeshSink*> meshes_;
 };
 
-// The part of the true surface that the flight's camera saw: points that lie on the depth of one
-// of the frames, evenly picked.
+// The part of the true surface that the flight's camera saw well enough for depth: points that lie
+// on the depth of three of the frames, evenly picked.
 std::function<bool(const Eigen::Vector3d&)> seen_by(const SyntheticFlight& flight) {
   constexpr std::size_t kViews = 40;
+  constexpr int kSeenBy = 3;
   constexpr double kTolerance = 0.01;  // of the depth; a pixel of a slanted roof spans about this
   struct View {
     Pose T_camera_world;
@@ -74,13 +75,15 @@ std::function<bool(const Eigen::Vector3d&)> seen_by(const SyntheticFlight& fligh
     views->push_back({flight.true_pose(i).inverse(), flight.render_depth(i)});
   }
   return [views, camera = flight.camera()](const Eigen::Vector3d& p_world) {
+    int count = 0;
     for (const View& view : *views) {
       const Eigen::Vector3d p_camera = view.T_camera_world * p_world;
       const auto pixel = camera.project(p_camera);
       if (!pixel || !camera.in_image(*pixel)) continue;
       const double depth = view.depth(static_cast<int>(std::lround(pixel->x())),
                                       static_cast<int>(std::lround(pixel->y())));
-      if (depth > 0 && std::abs(p_camera.z() - depth) < kTolerance * depth) return true;
+      if (depth > 0 && std::abs(p_camera.z() - depth) < kTolerance * depth && ++count >= kSeenBy)
+        return true;
     }
     return false;
   };
@@ -104,6 +107,9 @@ Truth compare(const RunResult& result, const SurfaceCut* cut, const FrameSource&
     if (const auto* flight = dynamic_cast<const SyntheticFlight*>(&source)) {
       options.seen = seen_by(*flight);
     }
+    // And two voxels, what a surface of voxels can be asked for.
+    const double voxel_m = result.voxel_size * truth.trajectory->T_truth_estimate.scale();
+    if (voxel_m > 0) options.completeness_distances_m.push_back(2 * voxel_m);
     const auto errors = [&](const TriangleMesh& mesh) {
       return compare_surfaces(mesh, *surface, truth.trajectory->T_truth_estimate, options);
     };
@@ -220,11 +226,10 @@ std::vector<std::string> summary(const RunResult& result, const RunNumbers& n,
     }
     row(name, fmt::format("median {:.3f} m, 90 % within {:.3f} m of the true surface", e.median_m,
                           e.accuracy90_m));
-    const SurfaceOptions defaults;
     std::string within;
     for (std::size_t i = 0; i < e.completeness.size(); ++i) {
-      within += fmt::format("{}{:.1f} % within {} m", i == 0 ? "" : ", ", 100 * e.completeness[i],
-                            defaults.completeness_distances_m[i]);
+      within += fmt::format("{}{:.1f} % within {:.3g} m", i == 0 ? "" : ", ",
+                            100 * e.completeness[i], e.completeness_distances_m[i]);
     }
     row("complete", within);
   };

@@ -52,7 +52,7 @@ Json surface_errors_of(const SurfaceErrors& e) {
           {"accuracy90_m", e.accuracy90_m},
           {"estimate_area_m2", e.estimate_area_m2},
           {"truth_area_m2", e.truth_area_m2},
-          {"completeness_distances_m", SurfaceOptions().completeness_distances_m},
+          {"completeness_distances_m", e.completeness_distances_m},
           {"completeness", e.completeness}};
 }
 

@@ -195,17 +195,15 @@ std::string truth_section(const ReportFacts& facts) {
     html += html_nothing("The surface was not compared: " + surface->problem);
   }
   if (surface && surface->problem.empty()) {
-    const SurfaceOptions options;
     std::vector<std::vector<TableCell>> rows = {
         {{"median distance to the true surface", {}},
          {format_number(surface->median_m) + " m", {}}},
         {{"mean distance", {}}, {format_number(surface->mean_m) + " m", {}}},
         {{"RMS distance", {}}, {format_number(surface->rmse_m) + " m", {}}},
         {{"90 % are within", {}}, {format_number(surface->accuracy90_m) + " m", {}}}};
-    for (std::size_t i = 0;
-         i < surface->completeness.size() && i < options.completeness_distances_m.size(); ++i) {
+    for (std::size_t i = 0; i < surface->completeness.size(); ++i) {
       rows.push_back({{fmt::format("true surface covered within {} m",
-                                   format_number(options.completeness_distances_m[i], 2)),
+                                   format_number(surface->completeness_distances_m[i], 2)),
                        {}},
                       {format_percent(surface->completeness[i]), {}}});
     }

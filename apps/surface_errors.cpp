@@ -41,6 +41,7 @@ SurfaceSamples sample_surface(const TriangleMesh& mesh, std::size_t samples) {
 SurfaceErrors compare_surfaces(const TriangleMesh& estimate, const TriangleMesh& truth,
                                const Sim3& T_truth_estimate, const SurfaceOptions& options) {
   SurfaceErrors out;
+  out.completeness_distances_m = options.completeness_distances_m;
   out.completeness.assign(options.completeness_distances_m.size(), 0.0);
   TriangleMesh moved = estimate;
   for (auto& v : moved.vertices) v = (T_truth_estimate * v.cast<double>()).cast<float>();

@@ -25,8 +25,8 @@ struct SurfaceErrors {
   /// Distance of the estimated surface to the true one.
   double median_m = 0, mean_m = 0, rmse_m = 0;
   double accuracy90_m = 0;  ///< nine tenths of the estimated surface are at least as near
-  /// Share of the true surface within completeness_distances_m[i] of the estimated one.
-  std::vector<double> completeness;
+  /// Share of the true surface within each of these distances of the estimated one.
+  std::vector<double> completeness_distances_m, completeness;
 };
 
 /// Points spread evenly over a mesh by area, the same for the same mesh; none if it has no area.

@@ -144,7 +144,7 @@ std::vector<std::string> MappingOptions::validate() const {
   Problems p("mapping");
   p.in("neighbours", neighbours, 1, 16);
   p.in("depth_samples", depth_samples, 8, 4096);
-  p.in("depth_scale", depth_scale, 1, 16);
+  p.in("depth_scale", depth_scale, 0, 16);
   p.template_side("template_px", template_px);
   p.in("min_score", min_score, 0.01, 0.99);
   p.at_least("min_views", min_views, 1);

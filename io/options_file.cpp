@@ -110,7 +110,7 @@ constexpr OptionField kFields[] = {
                   "depth maps, voxel map and mesh; off: trajectory and points only"),
     CORVID_OPTION(mapping.neighbours, "views that a keyframe's depth is compared with"),
     CORVID_OPTION(mapping.depth_samples, "inverse-depth samples per ray"),
-    CORVID_OPTION(mapping.depth_scale, "one ray per n x n pixels"),
+    CORVID_OPTION(mapping.depth_scale, "one ray per n x n pixels, 0: at most 640 x 480 rays"),
     CORVID_OPTION(mapping.template_px, "side of the depth template, odd [px]"),
     CORVID_OPTION(mapping.min_score, "a neighbour counts above this NCC score"),
     CORVID_OPTION(mapping.min_views, "neighbours that must agree on a depth"),

@@ -9,11 +9,21 @@ ViewImages::ViewImages(std::shared_ptr<Device> device, Warper warper, int scale,
                        std::size_t budget_bytes)
     : device_(std::move(device)),
       warper_(std::move(warper)),
-      scale_(scale),
+      asked_scale_(scale),
       budget_bytes_(budget_bytes) {}
 
+int ViewImages::scale_for(const Camera& lens) const {
+  constexpr std::int64_t kMostRays = 640L * 480;
+  int scale = std::max(1, asked_scale_);
+  const auto rays = [&] {
+    return static_cast<std::int64_t>(lens.width_px / scale) * (lens.height_px / scale);
+  };
+  while (asked_scale_ == 0 && rays() > kMostRays) ++scale;
+  return scale;
+}
+
 Camera ViewImages::camera_of(const Camera& lens) const {
-  return DepthSweeper::scaled(lens.undistorted(), scale_);
+  return DepthSweeper::scaled(lens.undistorted(), scale_for(lens));
 }
 
 void ViewImages::prepare_for(const Camera& lens) {
@@ -42,7 +52,8 @@ std::shared_ptr<const SweepImage> ViewImages::sweep_image(const Keyframe& keyfra
   if (frame) {
     DeviceImage image = upload(*device_, frame->grey, Lane::mapping);
     if (undistort_) image = warper_.remap(image, *undistort_, Lane::mapping);
-    kept.image = std::make_shared<const SweepImage>(sweeper.prepare(image, scale_, Lane::mapping));
+    kept.image =
+        std::make_shared<const SweepImage>(sweeper.prepare(image, scale_for(lens), Lane::mapping));
   }
   const auto result = kept.image;
   // Both levels, 4 bytes per pixel.

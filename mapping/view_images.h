@@ -15,6 +15,7 @@ namespace corvid {
 /// pixels. Those on the device are kept for the next keyframe, up to a budget.
 class ViewImages {
  public:
+  /// @param scale  0: the least that keeps a map within 640 x 480 rays.
   /// @param budget_bytes  device memory for kept images; at least the one just asked for is kept.
   ViewImages(std::shared_ptr<Device> device, Warper warper, int scale, std::size_t budget_bytes);
 
@@ -36,10 +37,11 @@ class ViewImages {
     std::uint64_t last_use = 0;
   };
   void prepare_for(const Camera& lens);
+  [[nodiscard]] int scale_for(const Camera& lens) const;
 
   std::shared_ptr<Device> device_;
   Warper warper_;
-  int scale_;
+  int asked_scale_;
   std::size_t budget_bytes_;
   std::optional<Camera> lens_;              ///< that everything below was made for
   std::optional<DeviceWarpMap> undistort_;  ///< full size; nothing for a plain pinhole

@@ -100,7 +100,8 @@ struct MappingOptions {
   bool enabled = true;
   int neighbours = 4;      ///< M, views compared with a keyframe (thesis 6.4)
   int depth_samples = 96;  ///< inverse-depth samples per ray
-  int depth_scale = 2;     ///< one ray per n x n pixels
+  int depth_scale = 0;     ///< one ray per n x n pixels; 0: the least n that keeps a map within
+                           ///< 640 x 480 rays
   int template_px = 11;    ///< NCC template side, Gaussian weight sigma = side/6 (thesis 6.2)
   double min_score = 0.6;  ///< tau: a neighbour counts above it (thesis 6.4)
   int min_views = 2;       ///< neighbours that must agree (thesis 6.4)

@@ -64,7 +64,7 @@ TEST(Options, EachFieldIsChecked) {
       {"backend.min_inliers", [](Options& o) { o.backend.min_inliers = 3; }},
       {"mapping.neighbours", [](Options& o) { o.mapping.neighbours = 17; }},
       {"mapping.depth_samples", [](Options& o) { o.mapping.depth_samples = 1; }},
-      {"mapping.depth_scale", [](Options& o) { o.mapping.depth_scale = 0; }},
+      {"mapping.depth_scale", [](Options& o) { o.mapping.depth_scale = -1; }},
       {"mapping.template_px", [](Options& o) { o.mapping.template_px = 12; }},
       {"mapping.min_score", [&](Options& o) { o.mapping.min_score = nan; }},
       {"mapping.min_views", [](Options& o) { o.mapping.min_views = 0; }},
