@@ -38,8 +38,9 @@ class PlaceFinder {
       std::shared_ptr<Device> device, const PlaceOptions& options, const MatchingOptions& matching,
       std::function<void()> yield = {});
 
-  /// Keyframes whose match was in vain let up to seven that follow rest: who knows where the camera
-  /// is can wait. A frame that is no keyframe of the map is looked for at once.
+  /// Keyframes whose match was in vain let up to seven that follow rest, those that were found
+  /// three: who knows where the camera is can wait. A frame that is no keyframe of the map is
+  /// looked for at once.
   /// @param query  a frame; what its tracks are connected with is no news and is left out.
   /// @param map    a state of the same growing map as in the calls before.
   [[nodiscard]] PlaceSearch find(const FrameTracks& query, const MapSnapshot& map);
