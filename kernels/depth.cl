@@ -338,6 +338,33 @@ inline Fused fuse(global const short* codes, int neighbours, int row) {
   return out;
 }
 
+// The best layer so far that counts, with the scores beside it, and the highest that may not.
+typedef struct {
+  vfloat score, before, after, highest;
+  vint at, highest_at;
+} Best;
+
+// Layer d, of which p, c, n are the one before, itself and the next; better: where it counts more.
+void remember(Best* b, Fused p, Fused c, Fused n, vint better, int d) {
+  b->score = select(b->score, c.score, better);
+  b->at = select(b->at, (vint)(d), better);
+  b->before = select(b->before, p.score, better);
+  b->after = select(b->after, n.score, better);
+  const vint higher = c.score > b->highest;
+  b->highest = select(b->highest, c.score, higher);
+  b->highest_at = select(b->highest_at, (vint)(d), higher);
+}
+
+// Layers from the best one to the peak of the parabola through it and those beside it; 0 where
+// these are not lower.
+vfloat to_peak(Best b, vint inner) {
+  const vfloat curvature = b.before - 2.0f * b.score + b.after;
+  const vint peak = inner & (curvature < 0.0f);
+  return select((vfloat)(0.0f),
+                0.5f * (b.before - b.after) / select((vfloat)(-1.0f), curvature, peak), peak);
+}
+vfloat peak_score(Best b, vfloat offset) { return b.score - 0.25f * (b.before - b.after) * offset; }
+
 // Best valid interior peak over depth. A valid sample at either end that is better than the best
 // peak means that the depth lies outside the interval: no answer. Images: inverse: inverse depth
 // (by the parabola through the peak), 0 where there is none; score: at the peak; lead: how much
@@ -355,19 +382,12 @@ kernel void find_peaks(global const short* volume, int samples, int neighbours, 
               last = fuse(in + (samples - 1) * step, neighbours, row);
   const vfloat end = fmax(select((vfloat)(0.0f), first.score, first.valid),
                           select((vfloat)(0.0f), last.score, last.valid));
-  vfloat best = 0.0f, before = 0.0f, after = 0.0f, highest = first.score;
-  vint best_at = -1, highest_at = 0;
+  Best best = {0.0f, 0.0f, 0.0f, first.score, -1, 0};
   Fused p = first, c = fuse(in + step, neighbours, row);
   for (int d = 1; d < samples - 1; ++d) {
     const Fused n = fuse(in + (d + 1) * step, neighbours, row);
-    const vint better = c.valid & (c.score >= p.score) & (c.score > n.score) & (c.score > best);
-    best = select(best, c.score, better);
-    best_at = select(best_at, (vint)(d), better);
-    before = select(before, p.score, better);
-    after = select(after, n.score, better);
-    const vint higher = c.score > highest;
-    highest = select(highest, c.score, higher);
-    highest_at = select(highest_at, (vint)(d), higher);
+    const vint is_peak = c.valid & (c.score >= p.score) & (c.score > n.score);
+    remember(&best, p, c, n, is_peak & (c.score > best.score), d);
     p = c;
     c = n;
   }
@@ -377,22 +397,21 @@ kernel void find_peaks(global const short* volume, int samples, int neighbours, 
   for (int d = 1; d < samples - 1; ++d) {
     const Fused n = fuse(in + (d + 1) * step, neighbours, row);
     const vint is_rival = c.valid & (c.score >= p.score) & (c.score > n.score) &
-                          ((best_at - d > RIVAL_DISTANCE) | (d - best_at > RIVAL_DISTANCE)) &
+                          ((best.at - d > RIVAL_DISTANCE) | (d - best.at > RIVAL_DISTANCE)) &
                           (c.score > second);
     second = select(second, c.score, is_rival);
     p = c;
     c = n;
   }
-  const vfloat curvature = before - 2.0f * best + after;  // < 0 at a strict peak
-  const vfloat offset =
-      0.5f * (before - after) / select((vfloat)(-1.0f), curvature, curvature < 0.0f);
-  const vint found = (best_at > 0) & (end <= best);
+  const vint found = (best.at > 0) & (end <= best.score);
+  const vfloat offset = to_peak(best, found);
   const int at = y * pitch + PAD + x0;
-  const vfloat r = mad((vfloat)(inverse_step), TO_FLOAT(best_at) + offset, (vfloat)(inverse_far));
-  const vfloat r_highest = mad((vfloat)(inverse_step), TO_FLOAT(highest_at), (vfloat)(inverse_far));
+  const vfloat r = mad((vfloat)(inverse_step), TO_FLOAT(best.at) + offset, (vfloat)(inverse_far));
+  const vfloat r_highest =
+      mad((vfloat)(inverse_step), TO_FLOAT(best.highest_at), (vfloat)(inverse_far));
   STORE(select((vfloat)(0.0f), r, found), inverse + at);
-  STORE(select((vfloat)(0.0f), best - 0.25f * (before - after) * offset, found), score + at);
-  STORE(select((vfloat)(1.0f), best - second, found), lead + at);
+  STORE(select((vfloat)(0.0f), peak_score(best, offset), found), score + at);
+  STORE(select((vfloat)(1.0f), best.score - second, found), lead + at);
   STORE(select(r_highest, r, found), guess + at);
 }
 
@@ -494,34 +513,26 @@ kernel void pick(global const short* volume, int layers, int neighbours, int hei
   if (x0 >= row || y < RADIUS || y >= height - RADIUS) return;
   const int step = neighbours * row;
   global const short* in = volume + y * layers * step + x0;
-  vfloat best = 0.0f, before = 0.0f, after = 0.0f, highest = -1.0f;
-  vint best_at = -1, highest_at = 0;
+  Best best = {0.0f, 0.0f, 0.0f, -1.0f, -1, 0};
   Fused p = {-1.0f, 0}, c = fuse(in, neighbours, row);
   for (int d = 0; d < layers; ++d) {
     Fused n = {-1.0f, 0};
     if (d + 1 < layers) n = fuse(in + (d + 1) * step, neighbours, row);
-    const vint better = c.valid & (c.score > best);
-    best = select(best, c.score, better);
-    best_at = select(best_at, (vint)(d), better);
-    before = select(before, p.score, better);
-    after = select(after, n.score, better);
-    const vint higher = c.score > highest;
-    highest = select(highest, c.score, higher);
-    highest_at = select(highest_at, (vint)(d), higher);
+    remember(&best, p, c, n, c.valid & (c.score > best.score), d);
     p = c;
     c = n;
   }
-  const vfloat curvature = before - 2.0f * best + after;
-  const vint inner = (best_at > 0) & (best_at < layers - 1) & (curvature < 0.0f);
-  const vfloat offset = select(
-      (vfloat)(0.0f), 0.5f * (before - after) / select((vfloat)(-1.0f), curvature, inner), inner);
+  const vint inner = (best.at > 0) & (best.at < layers - 1);
+  const vint peak = inner & (best.before - 2.0f * best.score + best.after < 0.0f);
+  const vfloat offset = to_peak(best, inner);
   const int at = y * pitch + PAD + x0;
   const vfloat r = LOAD(surface + at);
-  const vfloat r_best = mad((vfloat)(inverse_step), TO_FLOAT(best_at) + offset, r + inverse_0);
-  const vfloat r_highest = mad((vfloat)(inverse_step), TO_FLOAT(highest_at), r + inverse_0);
-  const vint found = (best_at >= 0) & (inner | (best > fmax(before, after))) & (r_best > 0.0f);
+  const vfloat r_best = mad((vfloat)(inverse_step), TO_FLOAT(best.at) + offset, r + inverse_0);
+  const vfloat r_highest = mad((vfloat)(inverse_step), TO_FLOAT(best.highest_at), r + inverse_0);
+  const vint found =
+      (best.at >= 0) & (peak | (best.score > fmax(best.before, best.after))) & (r_best > 0.0f);
   STORE(select((vfloat)(0.0f), r_best, found), inverse + at);
-  STORE(select((vfloat)(0.0f), best - 0.25f * (before - after) * offset, found), score + at);
+  STORE(select((vfloat)(0.0f), peak_score(best, offset), found), score + at);
   STORE(select(fmax(r_highest, (vfloat)(0.0f)), r_best, found), guess + at);
 }
 

@@ -160,10 +160,14 @@ Accuracy accuracy(const FloatImage& depth, const FloatImage& truth, int border) 
   return {share(answers, rays), share(good_1, answers), share(good_2, answers)};
 }
 
+Views wall_from_beside(int width_px, int height_px) {
+  return {slanted_wall(),
+          pinhole(width_px, height_px, 150),
+          {at(0, 0, 0), at(-0.4, 0, 0), at(-0.2, 0.05, 0), at(0.2, 0, 0.05), at(0.4, 0.05, 0)}};
+}
+
 TEST(Depth, SidewaysViewsOfASlantedWall) {
-  const Views views(
-      slanted_wall(), pinhole(188, 120, 150),
-      {at(0, 0, 0), at(-0.4, 0, 0), at(-0.2, 0.05, 0), at(0.2, 0, 0.05), at(0.4, 0.05, 0)});
+  const Views views = wall_from_beside(188, 120);
   DepthSweeper sweeper = make_sweeper();
   const FloatImage truth = slanted_wall().depth(views.camera, views.poses[0]);
   const Accuracy sweep = accuracy(views.estimate(sweeper, 1.5, 9, 96, 0).depth, truth, 5);
@@ -192,9 +196,7 @@ TEST(Depth, GroundUnderAForwardFlightWithTheEpipoleInTheImage) {
 }
 
 TEST(Depth, FromCoarseToFineFindsWhatTheWholeSweepFinds) {
-  const Views views(
-      slanted_wall(), pinhole(189, 121, 150),
-      {at(0, 0, 0), at(-0.4, 0, 0), at(-0.2, 0.05, 0), at(0.2, 0, 0.05), at(0.4, 0.05, 0)});
+  const Views views = wall_from_beside(189, 121);
   DepthSweeper sweeper = make_sweeper();
   const FloatImage truth = slanted_wall().depth(views.camera, views.poses[0]);
   const Accuracy fine = accuracy(views.estimate(sweeper, 1.5, 9, 96, 3).depth, truth, 6);
