@@ -10,6 +10,7 @@
 #include "core/alignment.h"
 #include "corvid/engine.h"
 #include "replay/synthetic_flight.h"
+#include "scenes/flight_of.h"
 
 namespace corvid {
 namespace {
@@ -26,15 +27,8 @@ FlightOptions round_flight() {
 }
 
 /// A flight whose frames are rendered once for all tests.
-struct Rendered {
-  SyntheticFlight flight{round_flight()};
-  std::vector<FramePtr> frames;
-  Rendered() {
-    for (std::size_t i = 0; i < flight.frame_count(); ++i) frames.push_back(flight.render(i));
-  }
-};
-const Rendered& rendered() {
-  static const Rendered once;
+const scenes::RenderedFlight& rendered() {
+  static const scenes::RenderedFlight once(round_flight());
   return once;
 }
 

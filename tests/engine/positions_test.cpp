@@ -15,15 +15,8 @@ constexpr double kSigma_m = 0.05;
 const GeodeticPosition kOrigin{0.82, 0.15, 430};
 
 /// The flight, rendered once.
-struct Rendered {
-  SyntheticFlight flight{scenes::flight_of(400, 300, 4)};
-  std::vector<FramePtr> frames;
-  Rendered() {
-    for (std::size_t i = 0; i < flight.frame_count(); ++i) frames.push_back(flight.render(i));
-  }
-};
-const Rendered& rendered() {
-  static const Rendered once;
+const scenes::RenderedFlight& rendered() {
+  static const scenes::RenderedFlight once(scenes::flight_of(400, 300, 4));
   return once;
 }
 
