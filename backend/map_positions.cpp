@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/clock.h"
 #include "core/median.h"
 
 namespace corvid {
@@ -21,11 +22,6 @@ constexpr double kFits = 0.9;             // of the positions that fit nearby mu
 constexpr std::size_t kNodeEvery = 8;     // positions
 
 double seconds(std::int64_t ns) { return 1e-9 * static_cast<double>(ns); }
-
-/// a - b without overflow, for times of any clock.
-double difference_s(std::int64_t a, std::int64_t b) {
-  return 1e-9 * (static_cast<double>(a) - static_cast<double>(b));
-}
 
 }  // namespace
 

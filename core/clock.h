@@ -6,6 +6,11 @@
 
 namespace corvid {
 
+/// a - b [s], without overflow, for times of any clock.
+[[nodiscard]] inline double difference_s(std::int64_t a_ns, std::int64_t b_ns) {
+  return 1e-9 * (static_cast<double>(a_ns) - static_cast<double>(b_ns));
+}
+
 /// Where time comes from; injected so that tests need not wait.
 class Clock {
  public:

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <utility>
 
+#include "core/clock.h"
+
 namespace corvid {
 namespace {
 
@@ -12,11 +14,6 @@ constexpr std::size_t kMostMessages = 100;
 constexpr double kLeap_s = 10;
 constexpr std::size_t kMostLate = 10;
 constexpr std::string_view kTwice = "that of the frame before it";
-
-/// a - b without overflow, for times of any clock.
-double difference_s(std::int64_t a, std::int64_t b) {
-  return 1e-9 * (static_cast<double>(a) - static_cast<double>(b));
-}
 
 }  // namespace
 
