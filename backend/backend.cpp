@@ -143,25 +143,27 @@ void Backend::Impl::add_stale(const FrameTracks& tracks, PoseEvent* event) {
   const MapKeyframe& reference = map.keyframes.back();
   const auto foretold = predict(tracks.frame->time_ns);
   constexpr double kFarthest = 0.05;  // of the landmarks' depth, and [rad]
-  if (!foretold || foretold->motion.head<3>().norm() > kFarthest * median_depth ||
-      foretold->motion.tail<3>().norm() > kFarthest) {
+  if (!foretold || !foretold->motion ||
+      foretold->motion->head<3>().norm() > kFarthest * median_depth ||
+      foretold->motion->tail<3>().norm() > kFarthest) {
     event->state = TrackingState::lost;
     event->reason = "the pictures have been the same for too long to foretell the pose";
     return;
   }
   event->state = TrackingState::degraded;
   event->reason = "the picture is the same as the one before: the pose is foretold";
+  const Vector6d& motion = *foretold->motion;
   const Pose T_keyframe_frame = reference.T_world_camera.inverse() * foretold->T_world_camera;
   frames.push_back({tracks.frame->id, tracks.frame->time_ns,
                     static_cast<int>(map.keyframes.size()) - 1, T_keyframe_frame, true});
   event->T_world_camera = foretold->T_world_camera;
   // The camera may as well have stopped, or gone twice as fast; and a part of that to any side.
   event->covariance = reference.drift.seen_from(T_keyframe_frame).pose_covariance(focal.square()) +
-                      foretold->motion * foretold->motion.transpose();
+                      motion * motion.transpose();
   constexpr double kAside = 0.3;
   for (const int part : {0, 3}) {
     event->covariance.diagonal().segment<3>(part).array() +=
-        kAside * kAside * foretold->motion.segment<3>(part).squaredNorm();
+        kAside * kAside * motion.segment<3>(part).squaredNorm();
   }
 }
 

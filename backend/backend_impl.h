@@ -45,7 +45,8 @@ struct Backend::Impl {
   /// A pose that no image has told.
   struct Foretold {
     Pose T_world_camera;
-    Vector6d motion;  ///< since the newest measured pose, if it went on as it was
+    /// Since the newest measured pose, if it went on as it was; nothing if only one is known.
+    std::optional<Vector6d> motion;
   };
   [[nodiscard]] std::vector<const FrameRecord*> newest_measured(std::size_t count) const;
   [[nodiscard]] std::optional<Foretold> predict(std::int64_t time_ns) const;
