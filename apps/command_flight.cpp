@@ -383,8 +383,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   if (auto written = write_run_folder(input, plan.out); !written) {
     return tl::unexpected(written.error());
   }
-  live_export
-      .reset();  // from here on the folder answers; until then an earlier run's may lie there
+  // From here on the folder answers; until then an earlier run's may lie there.
+  live_export.reset();
 
   const SourceInfo& info = player.info();
   const ExitCode code = judge(*result, info.kind + " " + info.path,

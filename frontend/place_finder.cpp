@@ -17,9 +17,9 @@ constexpr std::size_t kConnected = 30;    // landmarks in common: nothing new ca
 constexpr std::size_t kReach = 10;        // keyframes before and after a connected one: just left
 constexpr std::size_t kMostRefusals = 2;  // of the most similar: then the others are not either
 constexpr int kMostResting = 7;           // keyframes
-constexpr int kRestingWhenFound = 3;  ///< keyframes: they are connected through the one that was
-constexpr double kBorderPx = 12;      // templates fit into the image
-constexpr std::size_t kSpacing = 2;   // between the keyframes that are tried
+constexpr int kRestingWhenFound = 3;      // keyframes: they are connected through the one that was
+constexpr double kBorderPx = 12;          // templates fit into the image
+constexpr std::size_t kSpacing = 2;       // between the keyframes that are tried
 
 std::size_t common(const std::vector<TrackObservation>& tracks,
                    const std::vector<Observation>& landmarks) {

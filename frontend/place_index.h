@@ -38,7 +38,7 @@ class PlaceIndex {
   void add(const PlaceDescriptor& descriptor) { descriptors_.push_back(descriptor); }
   /// The most similar entries, best first, none within `spacing` positions of a better one.
   /// @param usable  one per entry; those with 0 are passed over.
-  /// @param yield   called after every 256 entries, some 5 ms; may be empty.
+  /// @param yield   called after every 256 entries, some 1.5 ms; may be empty.
   [[nodiscard]] std::vector<RankedPlace> rank(const PlaceDescriptor& query,
                                               const std::vector<std::uint8_t>& usable,
                                               std::size_t count, std::size_t spacing,

@@ -232,8 +232,7 @@ struct Mapper::Impl {
                                options.depth_samples) > DepthSweeper::kMostScores) {
       log().warn(
           "keyframe {}: no depth: {} x {} rays with {} neighbours are too many for one sweep; "
-          "raise "
-          "mapping.depth_scale",
+          "raise mapping.depth_scale",
           keyframe.id.value, depth->camera.width_px, depth->camera.height_px, chosen.size());
       return std::nullopt;
     }

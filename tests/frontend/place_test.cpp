@@ -231,6 +231,25 @@ TEST(PlaceFinder, WhatTheTracksKnowIsNoNews) {
   EXPECT_FALSE(finder()->find(query, map.map).match.references.empty());
 }
 
+TEST(PlaceFinder, KeyframesAfterOneThatWasFoundRest) {
+  const SyntheticFlight flight = flight_of(20);
+  TrueMap map(flight, 17);
+  std::vector<std::size_t> again;  // the beginning, flown a second time
+  for (std::size_t i = 0; i < 5; ++i) map.add(flight, again.emplace_back(12 * i + 2));
+  auto places = finder();
+  std::vector<bool> found;
+  for (const std::size_t frame : again) {
+    FrameTracks query = query_of(flight.render(frame));
+    const auto known = std::find_if(
+        map.map.keyframes.begin(), map.map.keyframes.end(),
+        [&](const auto& k) { return k->frame->id == FrameId(static_cast<std::uint32_t>(frame)); });
+    ASSERT_NE(known, map.map.keyframes.end());
+    query.frame = (*known)->frame->load();
+    found.push_back(!places->find(query, map.map).match.references.empty());
+  }
+  EXPECT_EQ(found, (std::vector<bool>{true, false, false, false, true}));
+}
+
 TEST(PlaceFinder, APictureThatCannotBeReadBackIsRefusedWithWords) {
   const SyntheticFlight flight(test::small_flight());
   const TrueMap map(flight, 3);
