@@ -112,7 +112,10 @@ Expected<void> V4l2Stream::start(const CameraRequest& request) {
   if (!format) return tl::unexpected(format.error());
   format_ = std::move(*format);
   if (auto ok = map_buffers(); !ok) return ok;
-  v4l2_event_subscription change{};
+  v4l2_event_subscription change{};  // of the input that is in use
+  if (int input = 0; device_.call(VIDIOC_G_INPUT, &input) == 0) {
+    change.id = static_cast<std::uint32_t>(input);
+  }
   change.type = V4L2_EVENT_SOURCE_CHANGE;
   std::ignore = device_.call(VIDIOC_SUBSCRIBE_EVENT, &change);  // most cameras have none
   int type = static_cast<int>(device_.buffer_type());
