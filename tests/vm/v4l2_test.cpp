@@ -32,11 +32,18 @@ class V4l2 : public GuestTest {
   std::vector<std::string> nodes_;
 };
 
-/// The luma of 100 % colour bars, white, yellow, cyan, green, magenta, red, blue, black: BT.601 of
-/// limited range, and 0.299 R + 0.587 G + 0.114 B.
+/// What 100 % colour bars, white, yellow, cyan, green, magenta, red, blue, black, come to.
 using Bars = std::array<int, 8>;
-constexpr Bars kLimited = {235, 210, 170, 145, 106, 81, 41, 16};
-constexpr Bars kFull = {255, 226, 179, 150, 105, 76, 29, 0};
+constexpr Bars kLimited = {235, 210, 170, 145, 106, 81, 41, 16};  // YUV: BT.601, limited range
+constexpr Bars kFromRgb = {255, 226, 179, 150, 105, 76, 29, 0};   // 0.299 R + 0.587 G + 0.114 B
+constexpr Bars kLuminance = {255, 237, 201, 182, 73, 54, 18, 0};  // vivid's grey: BT.709
+
+const Bars& expected_bars(const std::string& format) {
+  static const std::set<std::string> grey = {"GREY", "Y10 ", "Y12 ", "Y14 ", "Y16 "};
+  static const std::set<std::string> yuv = {"YUYV", "YVYU", "UYVY", "VYUY", "NV12", "NV21",
+                                            "NM12", "NM21", "YU12", "YV12", "YM12", "YM21"};
+  return grey.contains(format) ? kLuminance : yuv.contains(format) ? kLimited : kFromRgb;
+}
 
 Bars bars_of(const GreyImage& grey) {
   Bars bars{};
@@ -46,11 +53,9 @@ Bars bars_of(const GreyImage& grey) {
   return bars;
 }
 
-bool close(const Bars& a, const Bars& b, int tolerance) {
-  for (std::size_t i = 0; i < a.size(); ++i) {
-    if (std::abs(a[i] - b[i]) > tolerance) return false;
-  }
-  return true;
+void expect_bars(const GreyImage& grey, const std::string& format) {
+  const Bars bars = bars_of(grey), expected = expected_bars(format);
+  for (std::size_t i = 0; i < bars.size(); ++i) EXPECT_NEAR(bars[i], expected[i], 2) << i;
 }
 
 /// Captures a picture of vivid's bars in every format that we understand; returns their number.
@@ -72,11 +77,9 @@ std::size_t check_every_format(const std::string& node) {
     const auto stream = opened(request_of(node, format, 320, 180, 60));
     if (!stream) continue;
     const Capture capture = taken(*stream);
-    if (capture.grey.width() != 320 || capture.grey.height() != 180) continue;
-    const Bars bars = bars_of(capture.grey);
-    std::printf("%s: %d %d %d %d %d %d %d %d\n", format.c_str(), bars[0], bars[1], bars[2], bars[3],
-                bars[4], bars[5], bars[6], bars[7]);
-    EXPECT_TRUE(close(bars, kLimited, 2) || close(bars, kFull, 2)) << testing::PrintToString(bars);
+    if (capture.grey.empty()) continue;
+    EXPECT_EQ(std::pair(capture.grey.width(), capture.grey.height()), std::pair(320, 180));
+    expect_bars(capture.grey, format);
     EXPECT_EQ(stream->counts().damaged, 0u);
   }
   return formats.size();
@@ -148,11 +151,10 @@ TEST_F(V4l2, ASourceThatChangesEndsTheStream) {
   const auto listing = listing_of(single());
   ASSERT_TRUE(listing && !listing->modes.empty());
   EXPECT_THAT(listing->modes[0].note, HasSubstr("sizes from "));
-  // Odd numbers of pixels, in rows that are longer.
-  for (const std::string format : {"GREY", "YUYV", "NV12"}) {
-    const auto stream = opened(request_of(single(), format, 636, 358));
+  {
+    const auto stream = opened(request_of(single(), "YUYV", 636, 358));
     ASSERT_TRUE(stream);
-    EXPECT_EQ(taken(*stream).grey.width(), stream->settings().width_px);
+    EXPECT_EQ(taken(*stream).grey.width(), 636);
   }
   EXPECT_TRUE(panel.set_input(0));
 }
@@ -170,10 +172,10 @@ TEST_F(V4l2, GainIsSetAndReadBack) {
 }
 
 TEST_F(V4l2, RatesAreFractions) {
-  // vivid's webcam lists 29.97 Hz as 1001/30000 s.
-  const auto stream = opened(request_of(single(), "GREY", 320, 180, 29.97));
+  const auto stream = opened(request_of(single(), "GREY", 1280, 720, 12.5));  // 2/25 s
   ASSERT_TRUE(stream);
-  EXPECT_NEAR(stream->settings().rate_hz, 30000.0 / 1001, 1e-9) << notes_of(*stream);
+  EXPECT_EQ(stream->settings().rate_hz, 12.5);
+  EXPECT_EQ(notes_of(*stream), "");
 }
 
 TEST_F(V4l2, TwoCamerasAtOnceAndEachForOne) {
