@@ -58,6 +58,8 @@ Json to_json(const SourceCounts& counts) {
   return {{"delivered", counts.delivered},
           {"skipped", counts.skipped},
           {"dropped", counts.dropped},
+          {"lost", counts.lost},
+          {"interruptions", counts.interruptions},
           {"messages", counts.messages}};
 }
 
