@@ -44,7 +44,8 @@ struct CameraRequest {
 struct StreamSettings {
   std::string format;
   int width_px = 0, height_px = 0;
-  double rate_hz = 0;  ///< 0: the driver does not say
+  double rate_hz = 0;   ///< 0: the driver does not say
+  bool colour = false;  ///< pictures come with colour
   /// What the user should know, one sentence each: a request that the driver changed, times that
   /// are those of arrival.
   std::vector<std::string> notes;
