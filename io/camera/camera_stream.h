@@ -81,6 +81,9 @@ class CameraStream {
   [[nodiscard]] virtual Expected<std::optional<Capture>> next(std::chrono::milliseconds timeout,
                                                               const std::stop_token& stop) = 0;
   [[nodiscard]] virtual StreamCounts counts() const = 0;
+  /// The stream is over for good, and opening it anew is of no use: the end of a pipe. next() has
+  /// given nothing, or an error that says why it ended too early.
+  [[nodiscard]] virtual bool ended() const { return false; }
 };
 
 }  // namespace corvid
