@@ -2,20 +2,23 @@
 # Installs what is missing, builds, checks the formatting and runs the tests.
 #   ./test.sh                 every test of the release build
 #   ./test.sh --quick         without the tests labelled slow
-#   ./test.sh --label unit    only the tests with this label (unit, device, replay, slow)
+#   ./test.sh --label unit    only the tests with this label (unit, device, replay, slow, vm)
 #   ./test.sh --sanitizers    also the address, undefined-behaviour and thread sanitizers' builds, without
-#                             the flights over real image sets (real_sets_tests)
+#                             the flights over real image sets (real_sets_tests) and without guests (vm)
 #   ./test.sh --extra         also installs colmap and npm, with which more checks run
+# The tests labelled vm need cameras: they run with emulated ones in a guest made from a Debian kernel, for which
+# qemu is installed and 224 MB are fetched, once. Where that cannot be, they are skipped, with the reason.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/scripts/setup.sh"
 
-sanitizers=0 extra=0 select=()
+sanitizers=0 extra=0 guest=1 select=()
 while [[ $# -gt 0 ]]; do
   case $1 in
     --quick) select+=(-LE slow) ;;
     --label)
       [[ $# -gt 1 ]] || die "--label takes the name of a label"
       select+=(-L "^$2\$")
+      [[ $2 == vm ]] || guest=0
       shift
       ;;
     --sanitizers) sanitizers=1 ;;
@@ -39,6 +42,33 @@ check_format() {
   clang-format --dry-run --Werror "${sources[@]}" || die "run clang-format -i on the files above"
 }
 
+# Makes the guest of the vm tests, or writes down why there is none.
+prepare_guest() {
+  local folder="$root/build/vm"
+  step "guest for the tests with cameras"
+  mkdir -p "$folder"
+  rm -f "$folder/unavailable"
+  if ! (install_packages "${packages_vm[@]}" && "$root/tests/vm/prepare.sh") >"$folder/setup.log" 2>&1; then
+    tail -n 1 "$folder/setup.log" >"$folder/unavailable"
+    step "the vm tests will be skipped: $(<"$folder/unavailable")"
+  fi
+}
+
+# guest_line LOG: what a run's vm tests came to.
+guest_line() {
+  [[ $guest -eq 1 ]] || return 0
+  if [[ -s "$root/build/vm/unavailable" ]]; then
+    echo "vm: skipped: $(<"$root/build/vm/unavailable")"
+    return 0
+  fi
+  awk '/ vm\..* (Passed|Failed|\*\*\*)/ {
+      guests++
+      if (!/Passed/) bad++
+      for (i = NF; i > 1; i--) if ($i == "sec") { seconds += $(i - 1); break }
+    }
+    END { if (guests) printf "vm: %d guests, %.0f s, %d not passed\n", guests, seconds, bad }' "$1"
+}
+
 # run_tests PRESET [ARGUMENT...]: the tests of one build; the runner's closing lines are kept for the end.
 summary=()
 failed=0
@@ -50,11 +80,12 @@ run_tests() {
   ctest --test-dir "$root/build/$preset" --parallel "$(nproc)" --output-on-failure \
     --no-tests=error "${select[@]}" "$@" 2>&1 | tee "$log" || status=$?
   [[ $status -eq 0 ]] || failed=1
-  summary+=("== $preset ==" "$(sed -n '/^[0-9]*% tests passed/,$p' "$log")")
+  summary+=("== $preset ==" "$(sed -n '/^[0-9]*% tests passed/,$p' "$log")" "$(guest_line "$log")")
 }
 
 install_packages "${packages_build[@]}" "${packages_test[@]}"
 [[ $extra -eq 0 ]] || install_packages "${packages_extra[@]}"
+[[ $guest -eq 0 ]] || prepare_guest
 check_format
 build release -DCORVID_TESTS=ON -DCORVID_BENCH=ON
 # Results must not hang on the user's settings; the tests keep their kernel cache in the build tree.
@@ -70,8 +101,8 @@ if [[ $sanitizers -eq 1 ]]; then
   for preset in asan-ubsan tsan; do
     build "$preset"
     # Minutes each without a sanitizer, and several times that with one; the engine's tests fly the
-    # same code over made-up scenes.
-    run_tests "$preset" -E '^real_sets\.'
+    # same code over made-up scenes. Guests are slow already.
+    run_tests "$preset" -E '^(real_sets|vm)\.'
   done
 fi
 step "closing lines of the test runs"

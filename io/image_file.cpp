@@ -11,6 +11,7 @@
 #include <string_view>
 
 #include "io/atomic_file.h"
+#include "io/jpeg_header.h"
 #include "io/readers/text.h"
 
 namespace corvid {
@@ -35,27 +36,9 @@ bool png_is_whole(std::string_view bytes) {
   return false;
 }
 
-// ITU T.81, annex B: marker segments up to the scan; in a scan 0xFF is stuffed, so that the first
-// FF D9 behind it is the end of the image (and not that of a thumbnail in the EXIF segment).
-bool jpeg_is_whole(std::string_view bytes) {
-  std::size_t at = 2;
-  while (at + 4 <= bytes.size()) {
-    if (byte_at(bytes, at) != 0xFF) return false;
-    const unsigned marker = byte_at(bytes, at + 1);
-    if (marker == 0xFF) {  // fill byte
-      ++at;
-      continue;
-    }
-    const std::size_t length = byte_at(bytes, at + 2) << 8 | byte_at(bytes, at + 3);
-    at += 2 + length;
-    if (marker == 0xDA) return at < bytes.size() && bytes.find("\xFF\xD9"sv, at) != bytes.npos;
-  }
-  return false;
-}
-
 bool is_whole(std::string_view bytes) {
   if (bytes.starts_with("\x89PNG\r\n\x1A\n"sv)) return png_is_whole(bytes);
-  if (bytes.starts_with("\xFF\xD8"sv)) return jpeg_is_whole(bytes);
+  if (bytes.starts_with("\xFF\xD8"sv)) return whole_jpeg_header(bytes).has_value();
   return true;
 }
 

@@ -14,6 +14,8 @@ packages_build=(
 packages_test=(libgtest-dev libgmock-dev libbenchmark-dev draco clang-format)
 # Tests that find these run more checks; without them they say that they were skipped.
 packages_extra=(colmap nodejs npm)
+# With these the camera tests (label vm) run in an emulated guest; without, they are skipped and say so.
+packages_vm=(qemu-system-x86 busybox-static kmod udev make gcc-12 xz-utils libelf1)
 
 started=$SECONDS
 step() { printf '[%4ds] %s\n' "$((SECONDS - started))" "$*"; }

@@ -1,0 +1,469 @@
+#include "io/camera/raw_image.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <string_view>
+#include <utility>
+
+#include "io/jpeg_header.h"
+
+namespace corvid {
+namespace {
+
+constexpr std::uint32_t fourcc(const char (&name)[5]) {
+  std::uint32_t code = 0;
+  for (int i = 0; i < 4; ++i) {
+    code |= static_cast<std::uint32_t>(static_cast<unsigned char>(name[i])) << (8 * i);
+  }
+  return code;
+}
+
+/// How a format lays a picture out.
+enum class Kind { grey, bayer, yuv422, yuv420, rgb, jpeg };
+/// How a grey or Bayer sample is stored.
+enum class Sample { bits8, bits10, bits12, bits14, bits16, packed10, packed12 };
+
+/// What is known of a format. The OpenCV codes are those of the conversion; -1 where there is none.
+struct Format {
+  std::uint32_t fourcc = 0;
+  Kind kind = Kind::grey;
+  int rank = 0;
+  Sample sample = Sample::bits8;  ///< grey, bayer
+  int to_grey = -1;               ///< bayer, rgb: conversion; yuv422: the channel of the luma
+  int to_rgb = -1;
+  int channels = 1;    ///< rgb: bytes of a pixel
+  int planes = 1;      ///< yuv420: how many the luma and chroma lie in
+  bool split = false;  ///< yuv420: U and V apart
+  bool v_first = false;
+};
+
+constexpr Format grey(std::uint32_t code, int rank, Sample sample) {
+  return {.fourcc = code, .kind = Kind::grey, .rank = rank, .sample = sample};
+}
+
+constexpr Format yuv422(std::uint32_t code, int luma, int to_rgb) {
+  return {.fourcc = code, .kind = Kind::yuv422, .rank = 2, .to_grey = luma, .to_rgb = to_rgb};
+}
+
+constexpr Format yuv420(std::uint32_t code, int planes, bool split, bool v_first) {
+  return {.fourcc = code,
+          .kind = Kind::yuv420,
+          .rank = 1,
+          .planes = planes,
+          .split = split,
+          .v_first = v_first};
+}
+
+constexpr Format rgb(std::uint32_t code, int channels, int to_grey, int to_rgb) {
+  return {.fourcc = code,
+          .kind = Kind::rgb,
+          .rank = 5,
+          .to_grey = to_grey,
+          .to_rgb = to_rgb,
+          .channels = channels};
+}
+
+/// OpenCV names a mosaic by the second row's second and third sample: RGGB is its BayerBG.
+constexpr std::pair<int, int> kBggr = {cv::COLOR_BayerRG2GRAY, cv::COLOR_BayerRG2RGB};
+constexpr std::pair<int, int> kGbrg = {cv::COLOR_BayerGR2GRAY, cv::COLOR_BayerGR2RGB};
+constexpr std::pair<int, int> kGrbg = {cv::COLOR_BayerGB2GRAY, cv::COLOR_BayerGB2RGB};
+constexpr std::pair<int, int> kRggb = {cv::COLOR_BayerBG2GRAY, cv::COLOR_BayerBG2RGB};
+
+constexpr Format bayer(std::uint32_t code, std::pair<int, int> order, Sample sample) {
+  return {.fourcc = code,
+          .kind = Kind::bayer,
+          .rank = 4,
+          .sample = sample,
+          .to_grey = order.first,
+          .to_rgb = order.second};
+}
+
+constexpr std::array kFormats = {
+    grey(fourcc("GREY"), 0, Sample::bits8),
+    grey(fourcc("Y10 "), 3, Sample::bits10),
+    grey(fourcc("Y12 "), 3, Sample::bits12),
+    grey(fourcc("Y14 "), 3, Sample::bits14),
+    grey(fourcc("Y16 "), 3, Sample::bits16),
+    grey(fourcc("Y10P"), 3, Sample::packed10),
+    grey(fourcc("Y12P"), 3, Sample::packed12),
+    yuv422(fourcc("YUYV"), 0, cv::COLOR_YUV2RGB_YUYV),
+    yuv422(fourcc("YVYU"), 0, cv::COLOR_YUV2RGB_YVYU),
+    yuv422(fourcc("UYVY"), 1, cv::COLOR_YUV2RGB_UYVY),
+    Format{.fourcc = fourcc("VYUY"),
+           .kind = Kind::yuv422,
+           .rank = 2,
+           .to_grey = 1,
+           .to_rgb = cv::COLOR_YUV2RGB_UYVY,
+           .v_first = true},
+    yuv420(fourcc("NV12"), 1, false, false),
+    yuv420(fourcc("NV21"), 1, false, true),
+    yuv420(fourcc("NM12"), 2, false, false),
+    yuv420(fourcc("NM21"), 2, false, true),
+    yuv420(fourcc("YU12"), 1, true, false),
+    yuv420(fourcc("YV12"), 1, true, true),
+    yuv420(fourcc("YM12"), 3, true, false),
+    yuv420(fourcc("YM21"), 3, true, true),
+    rgb(fourcc("RGB3"), 3, cv::COLOR_RGB2GRAY, -1),
+    rgb(fourcc("BGR3"), 3, cv::COLOR_BGR2GRAY, cv::COLOR_BGR2RGB),
+    rgb(fourcc("XR24"), 4, cv::COLOR_BGRA2GRAY, cv::COLOR_BGRA2RGB),
+    rgb(fourcc("XB24"), 4, cv::COLOR_RGBA2GRAY, cv::COLOR_RGBA2RGB),
+    bayer(fourcc("BA81"), kBggr, Sample::bits8),
+    bayer(fourcc("GBRG"), kGbrg, Sample::bits8),
+    bayer(fourcc("GRBG"), kGrbg, Sample::bits8),
+    bayer(fourcc("RGGB"), kRggb, Sample::bits8),
+    bayer(fourcc("BG10"), kBggr, Sample::bits10),
+    bayer(fourcc("GB10"), kGbrg, Sample::bits10),
+    bayer(fourcc("BA10"), kGrbg, Sample::bits10),
+    bayer(fourcc("RG10"), kRggb, Sample::bits10),
+    bayer(fourcc("pBAA"), kBggr, Sample::packed10),
+    bayer(fourcc("pGAA"), kGbrg, Sample::packed10),
+    bayer(fourcc("pgAA"), kGrbg, Sample::packed10),
+    bayer(fourcc("pRAA"), kRggb, Sample::packed10),
+    bayer(fourcc("BG12"), kBggr, Sample::bits12),
+    bayer(fourcc("GB12"), kGbrg, Sample::bits12),
+    bayer(fourcc("BA12"), kGrbg, Sample::bits12),
+    bayer(fourcc("RG12"), kRggb, Sample::bits12),
+    bayer(fourcc("pBCC"), kBggr, Sample::packed12),
+    bayer(fourcc("pGCC"), kGbrg, Sample::packed12),
+    bayer(fourcc("pgCC"), kGrbg, Sample::packed12),
+    bayer(fourcc("pRCC"), kRggb, Sample::packed12),
+    bayer(fourcc("BYR2"), kBggr, Sample::bits16),
+    bayer(fourcc("GB16"), kGbrg, Sample::bits16),
+    bayer(fourcc("GR16"), kGrbg, Sample::bits16),
+    bayer(fourcc("RG16"), kRggb, Sample::bits16),
+    Format{.fourcc = fourcc("MJPG"), .kind = Kind::jpeg, .rank = 6},
+    Format{.fourcc = fourcc("JPEG"), .kind = Kind::jpeg, .rank = 6},
+};
+
+const Format* find_format(std::uint32_t code) {
+  const auto* at = std::find_if(kFormats.begin(), kFormats.end(),
+                                [code](const Format& format) { return format.fourcc == code; });
+  return at == kFormats.end() ? nullptr : at;
+}
+
+/// The picture that is being converted.
+struct Raw {
+  const Format& format;
+  int width_px, height_px;
+  std::span<const RawPlane> planes;
+  bool colour;
+};
+
+tl::unexpected<Error> corrupt(const Raw& raw, std::string what) {
+  return fail(ErrorCode::corrupt, std::move(what),
+              fmt::format("{} picture of {} x {} pixels", fourcc_name(raw.format.fourcc),
+                          raw.width_px, raw.height_px));
+}
+
+/// Rows of a plane: `type` elements from byte `offset` on.
+Expected<cv::Mat> rows_of(const Raw& raw, const RawPlane& plane, std::size_t offset,
+                          std::size_t stride, int rows, int cols, int type) {
+  const std::size_t row = static_cast<std::size_t>(cols) * CV_ELEM_SIZE(type);
+  if (stride < row) {
+    return corrupt(raw, fmt::format("rows lie {} bytes apart but have {} bytes", stride, row));
+  }
+  if (rows > 1 && stride > plane.bytes.size()) {
+    return corrupt(raw, fmt::format("rows lie {} bytes apart but only {} bytes came", stride,
+                                    plane.bytes.size()));
+  }
+  const std::size_t needed = offset + stride * static_cast<std::size_t>(rows - 1) + row;
+  if (plane.bytes.size() < needed) {
+    return corrupt(raw, fmt::format("{} bytes came, {} are needed", plane.bytes.size(), needed));
+  }
+  // OpenCV has no view of constant data; nothing below writes into it.
+  auto* data = const_cast<std::uint8_t*>(plane.bytes.data() + offset);
+  return cv::Mat(rows, cols, type, data, stride);
+}
+
+cv::Mat view(GreyImage& image) { return {image.height(), image.width(), CV_8UC1, image.data()}; }
+
+cv::Mat view(ColourImage& image) {
+  static_assert(sizeof(Rgb8) == 3);
+  return {image.height(), image.width(), CV_8UC3, image.data()};
+}
+
+struct Converted {
+  GreyImage grey;
+  ColourImage colour;
+};
+
+/// Empty images of the right size.
+Converted blank(const Raw& raw, bool colour) {
+  Converted result;
+  result.grey = GreyImage(raw.width_px, raw.height_px);
+  if (colour) result.colour = ColourImage(raw.width_px, raw.height_px);
+  return result;
+}
+
+/// Little-endian 16-bit samples, of which the lower `bits` are used, to their upper 8.
+void take_upper_bits(const cv::Mat& words, int bits, cv::Mat& out) {
+  for (int y = 0; y < words.rows; ++y) {
+    const std::uint8_t* in = words.ptr(y);
+    std::uint8_t* to = out.ptr(y);
+    for (int x = 0; x < words.cols; ++x) {
+      const int value = in[2 * x] | in[2 * x + 1] << 8;
+      to[x] = static_cast<std::uint8_t>(std::min(value >> (bits - 8), 255));
+    }
+  }
+}
+
+/// MIPI CSI-2's packing: `group` samples' upper 8 bits, then one byte of all their lower bits.
+void take_packed(const cv::Mat& bytes, int group, cv::Mat& out) {
+  for (int y = 0; y < out.rows; ++y) {
+    const std::uint8_t* in = bytes.ptr(y);
+    std::uint8_t* to = out.ptr(y);
+    for (int x = 0; x < out.cols; ++x) to[x] = in[x + x / group];
+  }
+}
+
+/// The samples as 8-bit ones, one per pixel.
+Expected<GreyImage> samples_of(const Raw& raw) {
+  const RawPlane& plane = raw.planes[0];
+  const auto rows = [&](int cols, int type) {
+    return rows_of(raw, plane, 0, plane.stride_bytes, raw.height_px, cols, type);
+  };
+  const int w = raw.width_px;
+  GreyImage result;
+  const auto with = [&](Expected<cv::Mat> in, const auto& take) -> Expected<GreyImage> {
+    if (!in) return tl::unexpected(in.error());
+    result = GreyImage(w, raw.height_px);
+    cv::Mat out = view(result);
+    take(*in, out);
+    return std::move(result);
+  };
+  const auto words = [&](int bits) {
+    return with(rows(w, CV_8UC2),
+                [&](const cv::Mat& in, cv::Mat& out) { take_upper_bits(in, bits, out); });
+  };
+  const auto packed = [&](int group) {
+    const int cols = (w + group - 1) / group * (group + 1);
+    return with(rows(cols, CV_8UC1),
+                [&](const cv::Mat& in, cv::Mat& out) { take_packed(in, group, out); });
+  };
+  switch (raw.format.sample) {
+    case Sample::bits10:
+      return words(10);
+    case Sample::bits12:
+      return words(12);
+    case Sample::bits14:
+      return words(14);
+    case Sample::bits16:
+      return words(16);
+    case Sample::packed10:
+      return packed(4);
+    case Sample::packed12:
+      return packed(2);
+    case Sample::bits8:
+      break;
+  }
+  return with(rows(w, CV_8UC1), [](const cv::Mat& in, cv::Mat& out) { in.copyTo(out); });
+}
+
+Expected<Converted> convert_grey(const Raw& raw) {
+  Expected<GreyImage> samples = samples_of(raw);
+  if (!samples) return tl::unexpected(samples.error());
+  return Converted{.grey = std::move(*samples), .colour = {}};
+}
+
+Expected<Converted> convert_bayer(const Raw& raw) {
+  Expected<GreyImage> samples = samples_of(raw);
+  if (!samples) return tl::unexpected(samples.error());
+  // Reflected by an even number of pixels, which keeps the order of the colours: OpenCV gives no
+  // values at the border, and none at all for pictures below 3 pixels.
+  cv::Mat padded;
+  cv::copyMakeBorder(view(*samples), padded, 2, 2, 2, 2, cv::BORDER_REFLECT_101);
+  const cv::Rect inside(2, 2, raw.width_px, raw.height_px);
+  Converted result = blank(raw, raw.colour);
+  cv::Mat all;
+  cv::cvtColor(padded, all, raw.format.to_grey);
+  all(inside).copyTo(view(result.grey));
+  if (raw.colour) {
+    cv::cvtColor(padded, all, raw.format.to_rgb);
+    all(inside).copyTo(view(result.colour));
+  }
+  return result;
+}
+
+Expected<Converted> convert_yuv422(const Raw& raw) {
+  const int even_px = (raw.width_px + 1) / 2 * 2;
+  const Expected<cv::Mat> pairs =
+      rows_of(raw, raw.planes[0], 0, raw.planes[0].stride_bytes, raw.height_px, even_px, CV_8UC2);
+  if (!pairs) return tl::unexpected(pairs.error());
+  Converted result = blank(raw, raw.colour);
+  cv::extractChannel(pairs->colRange(0, raw.width_px), view(result.grey), raw.format.to_grey);
+  if (raw.colour) {
+    cv::Mat ordered = *pairs;
+    if (raw.format.v_first) {  // V and U stand where OpenCV looks for U and V
+      cv::cvtColor(pairs->reshape(4), ordered, cv::COLOR_BGRA2RGBA);
+      ordered = ordered.reshape(2);
+    }
+    cv::Mat all;
+    cv::cvtColor(ordered, all, raw.format.to_rgb);
+    all.colRange(0, raw.width_px).copyTo(view(result.colour));
+  }
+  return result;
+}
+
+/// The chroma of a yuv420 picture as one image of pairs, in the order in which they are stored
+/// together (U V, or V U if format.v_first).
+Expected<cv::Mat> chroma_of(const Raw& raw) {
+  const int rows = (raw.height_px + 1) / 2, cols = (raw.width_px + 1) / 2;
+  const RawPlane& first = raw.planes[0];
+  const std::size_t luma_bytes = first.stride_bytes * static_cast<std::size_t>(raw.height_px);
+  if (!raw.format.split) {
+    return raw.format.planes == 1
+               ? rows_of(raw, first, luma_bytes, first.stride_bytes, rows, cols, CV_8UC2)
+               : rows_of(raw, raw.planes[1], 0, raw.planes[1].stride_bytes, rows, cols, CV_8UC2);
+  }
+  std::array<cv::Mat, 2> halves;
+  for (std::size_t i = 0; i < 2; ++i) {
+    const bool own = raw.format.planes == 3;
+    const RawPlane& plane = own ? raw.planes[i + 1] : first;
+    const std::size_t stride = own ? plane.stride_bytes : (first.stride_bytes + 1) / 2;
+    const std::size_t offset = own ? 0 : luma_bytes + i * stride * static_cast<std::size_t>(rows);
+    Expected<cv::Mat> half = rows_of(raw, plane, offset, stride, rows, cols, CV_8UC1);
+    if (!half) return half;
+    halves[i] = *half;
+  }
+  cv::Mat pairs;
+  cv::merge(halves.data(), 2, pairs);
+  return pairs;
+}
+
+Expected<Converted> convert_yuv420(const Raw& raw) {
+  const Expected<cv::Mat> luma = rows_of(raw, raw.planes[0], 0, raw.planes[0].stride_bytes,
+                                         raw.height_px, raw.width_px, CV_8UC1);
+  if (!luma) return tl::unexpected(luma.error());
+  const Expected<cv::Mat> chroma = chroma_of(raw);
+  if (!chroma) return tl::unexpected(chroma.error());
+  Converted result = blank(raw, raw.colour);
+  luma->copyTo(view(result.grey));
+  if (raw.colour) {
+    cv::Mat even, all;
+    cv::copyMakeBorder(*luma, even, 0, raw.height_px % 2, 0, raw.width_px % 2,
+                       cv::BORDER_REPLICATE);
+    cv::cvtColorTwoPlane(even, *chroma, all,
+                         raw.format.v_first ? cv::COLOR_YUV2RGB_NV21 : cv::COLOR_YUV2RGB_NV12);
+    all(cv::Rect(0, 0, raw.width_px, raw.height_px)).copyTo(view(result.colour));
+  }
+  return result;
+}
+
+Expected<Converted> convert_rgb(const Raw& raw) {
+  const Expected<cv::Mat> pixels =
+      rows_of(raw, raw.planes[0], 0, raw.planes[0].stride_bytes, raw.height_px, raw.width_px,
+              CV_8UC(raw.format.channels));
+  if (!pixels) return tl::unexpected(pixels.error());
+  Converted result = blank(raw, raw.colour);
+  cv::cvtColor(*pixels, view(result.grey), raw.format.to_grey);
+  if (raw.colour && raw.format.to_rgb >= 0) {
+    cv::cvtColor(*pixels, view(result.colour), raw.format.to_rgb);
+  } else if (raw.colour) {
+    pixels->copyTo(view(result.colour));
+  }
+  return result;
+}
+
+Expected<Converted> convert_jpeg(const Raw& raw) {
+  const std::span<const std::uint8_t> bytes = raw.planes[0].bytes;
+  const std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  const std::optional<JpegHeader> header = whole_jpeg_header(text);
+  if (!header) {
+    return corrupt(raw, fmt::format("the {} bytes are no JPEG, or a cut-off one", bytes.size()));
+  }
+  if (header->width_px != raw.width_px || header->height_px != raw.height_px) {
+    return corrupt(raw,
+                   fmt::format("the JPEG has {} x {} pixels", header->width_px, header->height_px));
+  }
+  const cv::Mat data(1, static_cast<int>(bytes.size()), CV_8UC1,
+                     const_cast<std::uint8_t*>(bytes.data()));
+  const cv::Mat luma = cv::imdecode(data, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
+  if (luma.rows != raw.height_px || luma.cols != raw.width_px) {
+    return corrupt(raw, "the JPEG cannot be decoded");
+  }
+  Converted result = blank(raw, raw.colour);
+  luma.copyTo(view(result.grey));
+  if (raw.colour) {
+    const cv::Mat bgr = cv::imdecode(data, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
+    cv::cvtColor(bgr, view(result.colour), cv::COLOR_BGR2RGB);
+  }
+  return result;
+}
+
+Expected<Converted> convert(const Raw& raw) {
+  switch (raw.format.kind) {
+    case Kind::bayer:
+      return convert_bayer(raw);
+    case Kind::yuv422:
+      return convert_yuv422(raw);
+    case Kind::yuv420:
+      return convert_yuv420(raw);
+    case Kind::rgb:
+      return convert_rgb(raw);
+    case Kind::jpeg:
+      return convert_jpeg(raw);
+    case Kind::grey:
+      break;
+  }
+  return convert_grey(raw);
+}
+
+}  // namespace
+
+std::string fourcc_name(std::uint32_t code) {
+  std::string name;
+  for (int i = 0; i < 4; ++i) {
+    const auto byte = static_cast<char>(code >> (8 * i) & 0xFF);
+    name += byte >= ' ' && byte <= '~' ? byte : '?';  // bit 31 marks big-endian variants
+  }
+  return name;
+}
+
+std::uint32_t fourcc_of(const std::string& name) {
+  if (name.empty() || name.size() > 4) return 0;
+  std::uint32_t code = 0;
+  for (std::size_t i = 0; i < 4; ++i) {
+    const char byte = i < name.size() ? name[i] : ' ';  // "Y16" is "Y16 "
+    code |= static_cast<std::uint32_t>(static_cast<unsigned char>(byte)) << (8 * i);
+  }
+  return code;
+}
+
+int format_rank(std::uint32_t code) {
+  const Format* format = find_format(code);
+  return format ? format->rank : -1;
+}
+
+Expected<void> convert_raw(std::uint32_t code, int width_px, int height_px,
+                           std::span<const RawPlane> planes, bool colour, Capture& out) {
+  const Format* format = find_format(code);
+  if (!format) {
+    return fail(ErrorCode::unsupported,
+                fmt::format("pictures in the format {} are not understood", fourcc_name(code)));
+  }
+  const Raw raw{*format, width_px, height_px, planes, colour};
+  constexpr int kMaxSide = 1 << 15;
+  if (width_px < 1 || height_px < 1 || width_px > kMaxSide || height_px > kMaxSide) {
+    return corrupt(raw, fmt::format("the sides must be 1 to {} pixels", kMaxSide));
+  }
+  if (planes.size() < static_cast<std::size_t>(format->planes)) {
+    return corrupt(raw,
+                   fmt::format("{} planes came, {} are needed", planes.size(), format->planes));
+  }
+  try {
+    Expected<Converted> converted = convert(raw);
+    if (!converted) return tl::unexpected(converted.error());
+    out.grey = std::move(converted->grey);
+    out.colour = std::move(converted->colour);
+    return {};
+  } catch (const cv::Exception& fault) {
+    return corrupt(raw, fmt::format("cannot be converted: {}", fault.err));
+  }
+}
+
+}  // namespace corvid
