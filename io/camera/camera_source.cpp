@@ -17,7 +17,7 @@ namespace {
 
 constexpr std::size_t kMostMessages = 100;
 constexpr std::chrono::milliseconds kSlice(100);  // waited at once, so that all else has its turn
-constexpr double kUnknownRate_hz = 5;            // when the driver says none
+constexpr double kUnknownRate_hz = 5;             // when the driver says none
 
 std::int64_t ns(double seconds) { return std::llround(1e9 * seconds); }
 
@@ -88,6 +88,10 @@ Expected<FramePtr> CameraSource::next(const std::stop_token& stop) {
     }
     auto capture = stream_->next(kSlice, stop);
     if (!capture) {
+      if (stream_->ended()) {
+        log().warn("{}", capture.error().to_string());
+        return nullptr;
+      }
       interrupt(capture.error().to_string());
       close();
       continue;
