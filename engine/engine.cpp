@@ -170,7 +170,10 @@ void Engine::Impl::Run::estimate(const TimedTracks& timed) {
   metrics.add("backend", watch.lap_ms());
   metrics.add(backend->last_timings_ms());
   motion.publish(backend->motion());
-  if (timed.tracks.keyframe || moved) map.publish(backend->map());
+  if (timed.tracks.keyframe || moved) {
+    map.publish(backend->map());
+    if (sinks.map) sinks.map->on_map(backend->map());
+  }
   if (const auto& query = backend->place_query(); query && finder)
     place_query.publish(std::make_shared<PlaceQuery>(PlaceQuery{*query, backend->map()}));
   if (timed.tracks.frame->blind.empty()) {

@@ -75,6 +75,14 @@ class PoseSink {
   virtual void on_pose(const PoseEvent& event) = 0;
 };
 
+/// Port: the map goes out whenever it has changed. Called on the backend's thread; must return
+/// quickly.
+class MapSink {
+ public:
+  virtual ~MapSink() = default;
+  virtual void on_map(const std::shared_ptr<const MapSnapshot>& map) = 0;
+};
+
 /// Port: changed mesh blocks go out. Called on the mapping thread.
 class MeshSink {
  public:

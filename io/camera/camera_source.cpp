@@ -41,7 +41,7 @@ Expected<std::unique_ptr<CameraSource>> CameraSource::open(std::string kind, std
   auto stream = source->opener_();
   if (!stream) return tl::unexpected(stream.error());
   source->stream_ = std::move(*stream);
-  source->waiting_since_ns_ = clock.now_ns();
+  source->opened_ns_ = source->waiting_since_ns_ = clock.now_ns();
   if (auto taken = source->take_camera(); !taken) return tl::unexpected(taken.error());
   return source;
 }
@@ -76,6 +76,7 @@ std::int64_t CameraSource::stall_ns() const {
 
 Expected<FramePtr> CameraSource::next(const std::stop_token& stop) {
   while (!stop.stop_requested()) {
+    if (options_.duration_s && clock_.now_ns() - opened_ns_ >= ns(*options_.duration_s)) break;
     if (!stream_) {
       const std::int64_t now_ns = clock_.now_ns();
       if (now_ns >= blind_due_ns_) return blind();

@@ -20,6 +20,7 @@ struct CameraSourceOptions {
   double reopen_stalled_s = 3;  ///< a stalled stream is closed and opened anew after this [s]
   double first_retry_s = 0.2, longest_retry_s = 5;  ///< back-off of opening: doubled each time [s]
   double blind_interval_s = 1;                      ///< between blind frames [s]
+  std::optional<double> duration_s;  ///< after this time it ends; nothing: never by itself
 };
 
 /// A camera as a source of the engine, for hours: a camera that is unplugged, stalls or fails is
@@ -61,7 +62,8 @@ class CameraSource final : public FrameSource {
   SourceInfo info_;
   std::unique_ptr<CameraStream> stream_;  ///< null while the camera is away
   std::string reason_;                    ///< of the interruption; empty if there is none
-  std::int64_t waiting_since_ns_ = 0;     ///< the last picture's arrival, or the stream's opening
+  std::int64_t opened_ns_ = 0;
+  std::int64_t waiting_since_ns_ = 0;  ///< the last picture's arrival, or the stream's opening
   std::int64_t interrupted_ns_ = 0, blind_due_ns_ = 0, retry_due_ns_ = 0;
   double retry_s_ = 0;
   std::uint32_t next_id_ = 0;
