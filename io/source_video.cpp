@@ -41,6 +41,7 @@ class VideoSource final : public FrameSource {
   [[nodiscard]] bool probe_times();
   [[nodiscard]] Expected<void> take_time_file();
   [[nodiscard]] Expected<void> take_camera();
+  [[nodiscard]] bool grab();
   [[nodiscard]] const TimeLine* line_of_grabbed();
   void report_lines_without_frame(std::size_t end);
   [[nodiscard]] std::int64_t time_of(std::int64_t index, const TimeLine* line);
@@ -69,6 +70,7 @@ class VideoSource final : public FrameSource {
   std::optional<std::int64_t> last_time_ns_;
   std::optional<TimeFile> times_;  ///< what lies beside the video
   std::size_t next_line_ = 0;
+  std::int64_t file_bytes_ = 0;
   bool grey_ = false;  ///< the decoder gives grey pictures, which OpenCV makes three channels of
   SourceCounts counts_;
 };
@@ -99,6 +101,7 @@ Expected<void> VideoSource::take_time_file() {
   auto file = read_time_file(path);
   if (!file) return tl::unexpected(file.error());
   times_ = std::move(*file);
+  file_bytes_ = static_cast<std::int64_t>(fs::file_size(info_.path, ignored));
   for (std::string& message : times_->skipped) skip(std::move(message));
   if (times_->torn) {
     info_.notes.push_back(fmt::format("{}: the last line is cut off and left out", path.string()));
@@ -117,12 +120,22 @@ void VideoSource::report_lines_without_frame(std::size_t end) {
     const std::int64_t frame = times_->lines[next_line_].frame;
     if (!chosen(frame)) continue;
     ++taken_;
-    skip(fmt::format("{}: frame {} is in the time file, but cannot be decoded or is not there",
-                     info_.path, frame));
+    skip(fmt::format("{}: frame {} is in the time file, but not whole in the video", info_.path,
+                     frame));
   }
 }
 
-// The line of the frame that was grabbed last; null if it has none and so is not known to be whole.
+// The next frame of the file. OpenCV gives up at one that cannot be decoded, but goes on behind it
+// when it is asked again: as often as lines say that there is more.
+bool VideoSource::grab() {
+  if (video_.grab()) return true;
+  for (std::size_t i = times_ ? next_line_ : 0; times_ && i < times_->lines.size(); ++i) {
+    if (video_.grab()) return true;
+  }
+  return false;
+}
+
+// The line of the frame that was grabbed last; null, and counted, if it is not known to be whole.
 const TimeLine* VideoSource::line_of_grabbed() {
   const std::vector<TimeLine>& lines = times_->lines;
   const double shown_ms = video_.get(cv::CAP_PROP_POS_MSEC);
@@ -134,7 +147,15 @@ const TimeLine* VideoSource::line_of_grabbed() {
   std::size_t at = next_line_;
   while (at < lines.size() && after(lines[at]) < -0.5) ++at;
   report_lines_without_frame(at);
-  if (at == lines.size() || after(lines[at]) > 0.5) return nullptr;
+  if (at == lines.size() || after(lines[at]) > 0.5) {
+    skip(fmt::format("{}: a frame at {:.3f} s has no line in the time file", info_.path,
+                     shown_ms * 1e-3));
+    return nullptr;
+  }
+  if (lines[at].bytes && *lines[at].bytes > file_bytes_) {  // the decoder gave a part of it
+    report_lines_without_frame(at + 1);
+    return nullptr;
+  }
   ++next_line_;
   return &lines[at];
 }
@@ -281,7 +302,7 @@ Expected<FramePtr> VideoSource::next(const std::stop_token& stop) {
   cv::Mat image;
   try {
     while (!ended_ && !stop.stop_requested()) {
-      if ((options_.count >= 0 && taken_ >= options_.count) || !video_.grab()) {
+      if ((options_.count >= 0 && taken_ >= options_.count) || !grab()) {
         ended_ = true;
         if (options_.count < 0 || taken_ < options_.count) {
           if (times_) {
@@ -296,11 +317,7 @@ Expected<FramePtr> VideoSource::next(const std::stop_token& stop) {
       const TimeLine* line = nullptr;
       if (times_) {
         line = line_of_grabbed();
-        if (line == nullptr) {
-          skip(fmt::format("{}: a frame at {:.3f} s has no line in the time file", info_.path,
-                           static_cast<double>(container_time_ns()) * 1e-9));
-          continue;
-        }
+        if (line == nullptr) continue;
         index = line->frame;
       }
       if (!chosen(index)) continue;

@@ -19,6 +19,8 @@ struct TimeLine {
   /// When a player shows the frame, by the container: finds the frame where others before it are
   /// damaged. Nothing: the frame's number has to do.
   std::optional<double> shown_ms;
+  /// How long the video was when the frame was whole in it: a shorter one does not have it.
+  std::optional<std::int64_t> bytes;
 };
 
 struct TimeFile {

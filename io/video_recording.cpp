@@ -170,7 +170,10 @@ Expected<void> VideoRecording::append(const Frame& frame, std::span<const std::u
                 path_.string());
   }
   const double shown_ms = static_cast<double>(stamp) * av_q2d(stream.time_base) * 1e3;
-  if (auto ok = times_->append({frames_, frame.time_ns, frame.id.value, shown_ms}); !ok) return ok;
+  if (auto ok = times_->append(
+          {frames_, frame.time_ns, frame.id.value, shown_ms, avio_tell(container_->pb)});
+      !ok)
+    return ok;
   ++frames_;
   last_ns_ = frame.time_ns;
   last_stamp_ = stamp;
