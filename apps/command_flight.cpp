@@ -46,6 +46,7 @@ class Fanout final : public PoseSink, public MeshSink {
   void on_pose(const PoseEvent& event) override {
     for (PoseSink* sink : poses_) sink->on_pose(event);
   }
+  void add_pose(PoseSink* sink) { poses_.push_back(sink); }
   void add_mesh(MeshSink* sink) { meshes_.push_back(sink); }
   void on_block(const MeshBlock& block) override {
     for (MeshSink* sink : meshes_) sink->on_block(block);
@@ -190,7 +191,10 @@ std::vector<std::string> summary(const RunResult& result, const RunNumbers& n,
   };
   row("source", describe(result.source));
   row("frames",
-      fmt::format("{} delivered, {} skipped, {} dropped", n.delivered, n.skipped, n.dropped));
+      fmt::format("{} delivered, {} skipped, {} dropped{}", n.delivered, n.skipped, n.dropped,
+                  n.lost + n.interruptions == 0
+                      ? ""
+                      : fmt::format(", {} lost, {} times away", n.lost, n.interruptions)));
   std::string states;
   for (std::size_t i = 0; i < n.states.size(); ++i) {
     states += fmt::format("{}{} {}", i == 0 ? "" : ", ", to_string(static_cast<TrackingState>(i)),
@@ -295,12 +299,14 @@ Json end_json(const RunResult& result, const RunNumbers& n, const Truth& truth, 
 // @param asked  a signal asked to stop; a run can also end early because its source or device
 // failed.
 // @param without_cut  the surface by graph cut was asked for, and there is none.
-ExitCode judge(const RunResult& result, const std::string& source, bool asked, bool without_cut) {
-  if (result.interrupted && asked) {
+// @param live  a camera, which has no other end than to be stopped.
+ExitCode judge(const RunResult& result, const std::string& source, bool asked, bool live,
+               bool without_cut) {
+  if (result.interrupted && asked && !live) {
     log().warn("interrupted: this is what there was until then");
     return ExitCode::interrupted;
   }
-  if (result.interrupted) {
+  if (result.interrupted && !asked) {
     log().error("{}: {}", source,
                 result.notes.empty() ? "the run ended early" : result.notes.back());
     return ExitCode::failure;
@@ -342,7 +348,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   // On the disk that the run goes to anyway.
   auto archive = ArchiveFile::create(fs::absolute(plan.out).lexically_normal().parent_path());
   if (!archive) log().warn("pictures stay in memory: {}", archive.error().to_string());
-  PositionFeed positions;
+  PositionFeed own_feed;
+  PositionFeed& positions = plan.feed ? *plan.feed : own_feed;
   for (const PositionFix& fix : plan.positions) {
     if (auto pushed = positions.push(fix); !pushed) log().warn("{}", pushed.error().to_string());
   }
@@ -353,12 +360,13 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
     Fanout listeners;
     listeners.add_mesh(&stream);
     if (plan.json) listeners.add(&json);
+    for (PoseSink* sink : plan.listeners) listeners.add_pose(sink);
     std::optional<ProgressLine> progress;
     if (context.terminal && !context.quiet) {
       progress.emplace(player.info().frames, clock);
       listeners.add(&*progress);
     }
-    return (*engine)->run(player, {&listeners, &listeners, archive.value_or(nullptr)},
+    return (*engine)->run(player, {&listeners, &listeners, archive.value_or(nullptr), plan.map},
                           signals.token(), &positions);
   }();
   if (!result) return tl::unexpected(result.error());
@@ -370,6 +378,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   place_on_earth(*result);
   if (const std::string note = unmatched(plan.positions, *result); !note.empty())
     result->notes.push_back(note);
+  if (plan.closing_notes)
+    for (std::string& note : plan.closing_notes()) result->notes.push_back(std::move(note));
   const auto cut = cut_if_asked(plan, *result, signals.token());
   const SurfaceCut* cut_or_none = cut ? &*cut : nullptr;
   const Truth truth = compare(*result, cut_or_none, source, plan.truth);
@@ -380,6 +390,7 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   input.cut = cut_or_none;
   input.cut_errors = truth.cut;
   input.stream = streamed;
+  input.brief = plan.brief;
   if (auto written = write_run_folder(input, plan.out); !written) {
     return tl::unexpected(written.error());
   }
@@ -388,7 +399,7 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
 
   const SourceInfo& info = player.info();
   const ExitCode code = judge(*result, info.kind + " " + info.path,
-                              signals.token().stop_requested(), plan.cut_surface && !cut);
+                              signals.token().stop_requested(), plan.live, plan.cut_surface && !cut);
   const RunNumbers numbers = count_run(*result);
   for (const std::string& line : summary(*result, numbers, cut_or_none, truth, plan.out)) {
     if (plan.json) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -9,12 +10,13 @@
 #include "apps/signal_guard.h"
 #include "corvid/options.h"
 #include "corvid/ports.h"
+#include "corvid/position.h"
 
 namespace corvid {
 
-/// One run of the engine with everything around it: what `replay` and `demo` have in common.
+/// One run of the engine with everything around it: what `replay`, `demo` and `live` have in common.
 struct FlightPlan {
-  std::unique_ptr<FrameSource> source;  ///< not paced
+  std::unique_ptr<FrameSource> source;  ///< not paced, unless it is a camera
   std::optional<double> rate;           ///< of the player; nothing: as fast as possible
   Options options;
   Trajectory truth;                    ///< instead of the source's own; empty: the source's own
@@ -23,6 +25,15 @@ struct FlightPlan {
                                                   ///< stands in for a cut that cannot be
   std::filesystem::path out;
   bool json = false;
+
+  /// A camera: to be stopped is its proper end, and no failure.
+  bool live = false;
+  bool brief = false;                ///< no colmap/ and depth/ in the folder
+  std::vector<PoseSink*> listeners;  ///< besides the program's own; outlive the run
+  MapSink* map = nullptr;            ///< outlives the run
+  /// Where more positions may come in while it runs; outlives the run.
+  PositionFeed* feed = nullptr;
+  std::function<std::vector<std::string>()> closing_notes;  ///< for the report, asked at the end
 };
 
 /// Runs the source, compares with the truth where there is any, writes the folder and sums up.

@@ -26,6 +26,8 @@ Action add_options_command(CLI::App& app);
 Action add_match_command(CLI::App& app);
 Action add_mvs_command(CLI::App& app);
 Action add_bench_command(CLI::App& app);
+Action add_live_command(CLI::App& app);
+Action add_cameras_command(CLI::App& app);
 
 /// A subcommand of `bench` in a file of its own.
 Action add_bench_tracking(CLI::App& group);

@@ -14,16 +14,14 @@ namespace corvid {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-// The program's sink of the library's logger; null where a library's user replaced it.
-Talk* talk() {
-  for (const auto& sink : log().sinks()) {
-    if (auto* found = dynamic_cast<Talk*>(sink.get())) return found;
-  }
-  return nullptr;
-}
-
 }  // namespace
+
+void draw_progress(const std::string& line) {
+  // The program's sink of the library's logger; there is none where a library's user replaced it.
+  for (const auto& sink : log().sinks()) {
+    if (auto* talk = dynamic_cast<Talk*>(sink.get())) return talk->progress(line);
+  }
+}
 
 void write_json_line(std::ostream& out, const Json& json) {
   out << json.dump(-1, ' ', false, Json::error_handler_t::replace) << std::endl;
@@ -58,6 +56,8 @@ Json to_json(const SourceCounts& counts) {
   return {{"delivered", counts.delivered},
           {"skipped", counts.skipped},
           {"dropped", counts.dropped},
+          {"lost", counts.lost},
+          {"interruptions", counts.interruptions},
           {"messages", counts.messages}};
 }
 
@@ -136,9 +136,7 @@ void JsonEvents::on_block(const MeshBlock& block) { write(to_json(block)); }
 ProgressLine::ProgressLine(std::optional<std::size_t> frames, Clock& clock)
     : frames_(frames), clock_(clock), start_ns_(clock.now_ns()) {}
 
-ProgressLine::~ProgressLine() {
-  if (Talk* t = talk()) t->progress("");
-}
+ProgressLine::~ProgressLine() { draw_progress(""); }
 
 void ProgressLine::on_block(const MeshBlock&) {
   const std::scoped_lock lock(mutex_);
@@ -166,7 +164,7 @@ void ProgressLine::on_pose(const PoseEvent& event) {
     const auto left_s = static_cast<long>(static_cast<double>(*frames_ - seen_) / rate_hz + 0.5);
     line += fmt::format("  {}:{:02} left", left_s / 60, left_s % 60);
   }
-  if (Talk* t = talk()) t->progress(line);
+  draw_progress(line);
 }
 
 }  // namespace corvid

@@ -37,6 +37,9 @@ class JsonEvents final : public PoseSink, public MeshSink {
   std::mutex mutex_;
 };
 
+/// Replaces the progress line below the program's log; an empty one removes it.
+void draw_progress(const std::string& line);
+
 /// Draws a progress line below the log, at most ten times a second. Thread-safe for one PoseSink
 /// and one MeshSink thread.
 class ProgressLine final : public PoseSink, public MeshSink {

@@ -78,6 +78,8 @@ std::string report_json(const ReportFacts& facts) {
   out["frames"] = {{"delivered", n.delivered},
                    {"skipped", n.skipped},
                    {"dropped", n.dropped},
+                   {"lost", n.lost},
+                   {"interruptions", n.interruptions},
                    {"events", n.events},
                    {"with_pose", n.with_pose},
                    {"untracked_after_start", n.untracked_after_start},

@@ -67,6 +67,8 @@ RunNumbers count_run(const RunResult& result) {
   n.delivered = result.counts.delivered;
   n.skipped = result.counts.skipped;
   n.dropped = result.counts.dropped;
+  n.lost = result.counts.lost;
+  n.interruptions = result.counts.interruptions;
 
   std::vector<double> tracks, inliers, rms, latency;
   std::optional<std::int64_t> first_pose_ns;
@@ -76,7 +78,7 @@ RunNumbers count_run(const RunResult& result) {
     const auto state = static_cast<std::size_t>(e.state);
     if (state < n.states.size()) ++n.states[state];
     n.keyframe_events += e.keyframe ? 1 : 0;
-    latency.push_back(e.latency_ms);
+    if (e.latency_ms > 0) latency.push_back(e.latency_ms);  // else there was no picture
     tracks.push_back(e.tracks);
     if (e.T_world_camera) {
       if (!first_pose_ns) first_pose_ns = e.time_ns;

@@ -21,7 +21,7 @@ struct Spread {
 
 /// What the report and run.json say about a run, counted once for both.
 struct RunNumbers {
-  std::uint64_t delivered = 0, skipped = 0, dropped = 0;
+  std::uint64_t delivered = 0, skipped = 0, dropped = 0, lost = 0, interruptions = 0;
   std::array<std::size_t, 4> states{};  ///< events by TrackingState
   std::size_t events = 0;
   std::size_t with_pose = 0;              ///< events that carry a pose

@@ -310,8 +310,9 @@ std::string timing_section(const ReportFacts& facts) {
                                                 {""}},
                                                rows);
   const std::vector<PlotSeries> latency = {
-      over_time(result, "latency", 0,
-                [](const PoseEvent& e) -> std::optional<double> { return e.latency_ms; })};
+      over_time(result, "latency", 0, [](const PoseEvent& e) -> std::optional<double> {
+        return e.latency_ms > 0 ? std::optional(e.latency_ms) : std::nullopt;
+      })};
   PlotOptions options =
       time_plot(facts.numbers, "Latency, from a frame's arrival to its pose", "latency [ms]");
   options.width_px = 1140;
@@ -321,11 +322,13 @@ std::string timing_section(const ReportFacts& facts) {
 
 std::string frames_section(const ReportFacts& facts) {
   const SourceCounts& counts = facts.input.result.counts;
-  std::string html =
-      html_table({{"frames"}, {"", true}},
-                 {{{"delivered", {}}, {format_count(counts.delivered), {}}},
-                  {{"skipped (could not be read)", {}}, {format_count(counts.skipped), {}}},
-                  {{"dropped (came too late)", {}}, {format_count(counts.dropped), {}}}});
+  std::string html = html_table(
+      {{"frames"}, {"", true}},
+      {{{"delivered", {}}, {format_count(counts.delivered), {}}},
+       {{"skipped (could not be read)", {}}, {format_count(counts.skipped), {}}},
+       {{"dropped (came too late)", {}}, {format_count(counts.dropped), {}}},
+       {{"lost (counted by the camera, never came)", {}}, {format_count(counts.lost), {}}},
+       {{"times that the camera was away", {}}, {format_count(counts.interruptions), {}}}});
   if (!counts.messages.empty()) {
     html += "<p></p>" + html_list(counts.messages);
     if (counts.messages.size() < counts.skipped) {

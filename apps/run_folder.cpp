@@ -127,12 +127,9 @@ class FolderWriter {
       return fault_;
     }
     if (result.map) {
-      if (!done("keyframes.txt", "poses of the keyframes",
-                write_file_atomically(dir_ / "keyframes.txt", keyframes_text(*result.map))) ||
-          !done("points.ply", "landmarks with colours",
-                write_mesh(landmark_cloud(*result.map), dir_ / "points.ply"))) {
+      if (!done("keyframes.txt", "poses of the keyframes", write_sparse_map(*result.map, dir_)))
         return fault_;
-      }
+      list("points.ply", "landmarks with colours");
     }
     if (input_.live_surface && !result.mesh.empty() &&
         !write_surface(RunSurface::live, "the surface", result.mesh, result.voxel_size)) {
@@ -143,13 +140,13 @@ class FolderWriter {
         !write_surface(RunSurface::cut, "the minimal surface", cut->mesh, cut->voxel_size)) {
       return fault_;
     }
-    if (result.map && has_images(*result.map)) {
+    if (!input_.brief && result.map && has_images(*result.map)) {
       auto models = write_colmap(*result.map, dir_ / "colmap");
       if (!models) return tl::unexpected(models.error());
       colmap = std::move(*models);
       list("colmap", "COLMAP text model with undistorted images");
     }
-    if (!result.depth_maps.empty()) {
+    if (!input_.brief && !result.depth_maps.empty()) {
       if (!done("depth", "depth maps of up to 40 keyframes: raw (.pfm) and as pictures",
                 write_depth(result, dir_ / "depth"))) {
         return fault_;
@@ -202,6 +199,11 @@ Expected<void> check_run(const fs::path& dir) {
 }
 
 }  // namespace
+
+Expected<void> write_sparse_map(const MapSnapshot& map, const fs::path& dir) {
+  if (auto ok = write_file_atomically(dir / "keyframes.txt", keyframes_text(map)); !ok) return ok;
+  return write_mesh(landmark_cloud(map), dir / "points.ply");
+}
 
 Expected<void> check_run_folder(const fs::path& dir) {
   const auto folder = AtomicFolder::create(dir, kMarker);

@@ -25,6 +25,7 @@ struct RunReportInput {
   const SurfaceCut* cut = nullptr;                     ///< written if there is one
   std::optional<SurfaceErrors> cut_errors{};           ///< of it, if there is a true surface
   std::optional<StreamNumbers> stream = std::nullopt;  ///< if there was a mesh to stream
+  bool brief = false;  ///< without colmap/ and depth/, which take long for a long flight
 };
 
 /// Which of a run's surfaces.
@@ -32,6 +33,10 @@ enum class RunSurface { live, cut };
 
 /// Raw depth maps and previews are written for at most so many keyframes, evenly spread.
 inline constexpr std::size_t kMaxDepthFiles = 40;
+
+/// Writes keyframes.txt and points.ply, each whole or not at all. Errors: io.
+[[nodiscard]] Expected<void> write_sparse_map(const MapSnapshot& map,
+                                              const std::filesystem::path& dir);
 
 /// Whether a run may write its folder there: asked before a long run. Errors as write_run_folder().
 [[nodiscard]] Expected<void> check_run_folder(const std::filesystem::path& dir);

@@ -48,6 +48,10 @@ PoseEvent Backend::Impl::add(const FrameTracks& tracks) {
   event.time_ns = tracks.frame->time_ns;
   event.tracks = static_cast<int>(tracks.observations.size());
   event.keyframe = tracks.keyframe;
+  if (!tracks.frame->blind.empty()) {
+    add_blind(tracks, &event);
+    return event;
+  }
   const bool stale =
       newest_frame && !newest_frame->grey.empty() && newest_frame->grey == tracks.frame->grey;
   newest_frame = tracks.frame;
@@ -58,14 +62,34 @@ PoseEvent Backend::Impl::add(const FrameTracks& tracks) {
   } else {
     add_tracking(tracks, &event);
   }
-  event.segment = segment;
-  event.placement = positions.placement(segment);
-  if (event.placement) event.scale = event.placement->scale;
-  event.resets = resets;
+  place_event(&event);
   choose_query(tracks, event.keyframe);
   newest_observations = tracks.observations;
   publish_motion(newest_observations);
   return event;
+}
+
+/// What every event says of its map.
+void Backend::Impl::place_event(PoseEvent* event) const {
+  event->segment = segment;
+  event->placement = positions.placement(segment);
+  if (event->placement) event->scale = event->placement->scale;
+  event->resets = resets;
+}
+
+/// The camera is away: where it goes meanwhile nobody knows. Its tracks may be found again when it
+/// is back, so nothing is given up, however long that takes.
+void Backend::Impl::add_blind(const FrameTracks& tracks, PoseEvent* event) {
+  event->reason = tracks.frame->blind;
+  event->keyframe = false;
+  if (mode == Mode::tracking) {
+    event->state = TrackingState::lost;
+    lost_frames = std::max(lost_frames, 1);
+  }
+  place_event(event);
+  query.reset();
+  newest_observations.clear();
+  publish_motion(newest_observations);
 }
 
 void Backend::Impl::add_starting(const FrameTracks& tracks, PoseEvent* event) {

@@ -32,10 +32,12 @@ struct Backend::Impl {
   };
 
   PoseEvent add(const FrameTracks& tracks);
+  void add_blind(const FrameTracks& tracks, PoseEvent* event);
   void add_starting(const FrameTracks& tracks, PoseEvent* event);
   void add_tracking(const FrameTracks& tracks, PoseEvent* event);
   void add_stale(const FrameTracks& tracks, PoseEvent* event);
   void add_lost(const FrameTracks& tracks, std::string reason, PoseEvent* event);
+  void place_event(PoseEvent* event) const;
   void judge(double visible, bool odd, PoseEvent* event) const;
   void learn_focal();
   void insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,

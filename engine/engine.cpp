@@ -148,6 +148,7 @@ Expected<std::unique_ptr<Engine>> Engine::create(const Options& options) {
 }
 
 FrameTracks Engine::Impl::Run::track(const FramePtr& frame) {
+  if (!frame->blind.empty()) return {frame, false, {}};
   Stopwatch watch;
   const auto state = motion.take();
   FrameTracks tracks = frontend->process(frame, state.get());
@@ -169,11 +170,16 @@ void Engine::Impl::Run::estimate(const TimedTracks& timed) {
   metrics.add("backend", watch.lap_ms());
   metrics.add(backend->last_timings_ms());
   motion.publish(backend->motion());
-  if (timed.tracks.keyframe || moved) map.publish(backend->map());
+  if (timed.tracks.keyframe || moved) {
+    map.publish(backend->map());
+    if (sinks.map) sinks.map->on_map(backend->map());
+  }
   if (const auto& query = backend->place_query(); query && finder)
     place_query.publish(std::make_shared<PlaceQuery>(PlaceQuery{*query, backend->map()}));
-  event.latency_ms = static_cast<double>(clock.now_ns() - timed.entered_ns) * 1e-6;
-  metrics.add("latency", event.latency_ms);
+  if (timed.tracks.frame->blind.empty()) {
+    event.latency_ms = static_cast<double>(clock.now_ns() - timed.entered_ns) * 1e-6;
+    metrics.add("latency", event.latency_ms);
+  }
   log().debug("frame {}: {}{}{}, {} of {} tracks agree, {:.3f} px^2", event.frame.value,
               to_string(event.state), event.reason.empty() ? "" : ": ", event.reason, event.inliers,
               event.tracks, event.mse_px2);

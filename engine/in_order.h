@@ -11,7 +11,8 @@
 namespace corvid {
 
 /// Takes frames from a source and refuses those that are not newer than the one before: a frame
-/// that comes twice, or after its successor. Refused frames are counted as skipped.
+/// that comes twice, or after its successor. Refused frames are counted as skipped, blind ones as
+/// nothing.
 ///
 /// A time that leaps ahead by more than 10 s must be confirmed by the next frame, which such a
 /// frame waits for: taken at its word, one wrong time would make all that follow too late.

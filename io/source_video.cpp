@@ -12,8 +12,10 @@
 #include <string_view>
 
 #include "io/calibration.h"
+#include "io/ffmpeg_log.h"
 #include "io/readers/text.h"
 #include "io/source_images.h"
+#include "io/time_file.h"
 
 namespace corvid {
 namespace fs = std::filesystem;
@@ -37,7 +39,15 @@ class VideoSource final : public FrameSource {
  private:
   [[nodiscard]] bool reopen();
   [[nodiscard]] bool probe_times();
+  [[nodiscard]] Expected<void> take_time_file();
   [[nodiscard]] Expected<void> take_camera();
+  [[nodiscard]] bool grab();
+  [[nodiscard]] const TimeLine* line_of_grabbed();
+  void report_lines_without_frame(std::size_t end);
+  [[nodiscard]] std::int64_t time_of(std::int64_t index, const TimeLine* line);
+  [[nodiscard]] bool chosen(std::int64_t index) const {
+    return index >= options_.first && (index - options_.first) % options_.step == 0;
+  }
   [[nodiscard]] std::int64_t container_time_ns() {
     return static_cast<std::int64_t>(std::llround(video_.get(cv::CAP_PROP_POS_MSEC) * 1e6));
   }
@@ -58,6 +68,10 @@ class VideoSource final : public FrameSource {
   std::int64_t position_ = 0;  ///< frames of the file that were grabbed
   std::int64_t taken_ = 0;     ///< of these, frames that the options let through
   std::optional<std::int64_t> last_time_ns_;
+  std::optional<TimeFile> times_;  ///< what lies beside the video
+  std::size_t next_line_ = 0;
+  std::int64_t file_bytes_ = 0;
+  bool grey_ = false;  ///< the decoder gives grey pictures, which OpenCV makes three channels of
   SourceCounts counts_;
 };
 
@@ -78,6 +92,82 @@ bool VideoSource::probe_times() {
     last = time;
   }
   return frames > 0;
+}
+
+Expected<void> VideoSource::take_time_file() {
+  const fs::path path = time_file_of(info_.path);
+  std::error_code ignored;
+  if (!fs::is_regular_file(path, ignored)) return {};
+  auto file = read_time_file(path);
+  if (!file) return tl::unexpected(file.error());
+  times_ = std::move(*file);
+  file_bytes_ = static_cast<std::int64_t>(fs::file_size(info_.path, ignored));
+  for (std::string& message : times_->skipped) skip(std::move(message));
+  if (times_->torn) {
+    info_.notes.push_back(fmt::format("{}: the last line is cut off and left out", path.string()));
+  }
+  if (times_->lines.empty()) {
+    return fail(
+        ErrorCode::corrupt, "the time file lists no frame", path.string(),
+        "each line is \"frame,time in ns\"; without the file the container's times are used");
+  }
+  return {};
+}
+
+// Lines from the next one to `end` have no frame.
+void VideoSource::report_lines_without_frame(std::size_t end) {
+  for (; next_line_ < end; ++next_line_) {
+    const std::int64_t frame = times_->lines[next_line_].frame;
+    if (!chosen(frame)) continue;
+    ++taken_;
+    skip(fmt::format("{}: frame {} is in the time file, but not whole in the video", info_.path,
+                     frame));
+  }
+}
+
+// The next frame of the file. OpenCV gives up at one that cannot be decoded, but goes on behind it
+// when it is asked again: as often as lines say that there is more.
+bool VideoSource::grab() {
+  if (video_.grab()) return true;
+  for (std::size_t i = times_ ? next_line_ : 0; times_ && i < times_->lines.size(); ++i) {
+    if (video_.grab()) return true;
+  }
+  return false;
+}
+
+// The line of the frame that was grabbed last; null, and counted, if it is not known to be whole.
+const TimeLine* VideoSource::line_of_grabbed() {
+  const std::vector<TimeLine>& lines = times_->lines;
+  const double shown_ms = video_.get(cv::CAP_PROP_POS_MSEC);
+  // How far the line is after the frame: in the container's time, or in frames.
+  const auto after = [&](const TimeLine& line) {
+    return line.shown_ms ? *line.shown_ms - shown_ms
+                         : static_cast<double>(line.frame - (position_ - 1));
+  };
+  std::size_t at = next_line_;
+  while (at < lines.size() && after(lines[at]) < -0.5) ++at;
+  report_lines_without_frame(at);
+  if (at == lines.size() || after(lines[at]) > 0.5) {
+    skip(fmt::format("{}: a frame at {:.3f} s has no line in the time file", info_.path,
+                     shown_ms * 1e-3));
+    return nullptr;
+  }
+  if (lines[at].bytes && *lines[at].bytes > file_bytes_) {  // the decoder gave a part of it
+    report_lines_without_frame(at + 1);
+    return nullptr;
+  }
+  ++next_line_;
+  return &lines[at];
+}
+
+std::int64_t VideoSource::time_of(std::int64_t index, const TimeLine* line) {
+  if (options_.rate_hz) return std::llround(static_cast<double>(index) * 1e9 / *options_.rate_hz);
+  if (line != nullptr) return line->time_ns;
+  const std::int64_t time = container_time_ns();
+  // The last frames of a stream with B-frames come out of the decoder without a time (0).
+  if (time == 0 && last_time_ns_ && info_.rate_hz > 0)
+    return *last_time_ns_ + std::llround(1e9 / info_.rate_hz);
+  return time;
 }
 
 Expected<void> VideoSource::take_camera() {
@@ -119,16 +209,26 @@ Expected<std::unique_ptr<FrameSource>> VideoSource::open(const std::string& path
   s.width_px_ = first.cols;
   s.height_px_ = first.rows;
   s.info_.colour = options.colour && first.channels() == 3;
+  // V4L2's name of FFmpeg's gray.
+  s.grey_ = s.video_.get(cv::CAP_PROP_CODEC_PIXEL_FORMAT) ==
+            static_cast<double>(cv::VideoWriter::fourcc('Y', '8', '0', '0'));
+  s.info_.colour = s.info_.colour && !s.grey_;
   double rate = s.video_.get(cv::CAP_PROP_FPS);
   if (!(rate >= 1e-3 && rate <= 1e6)) {
     rate = kDefaultRate_hz;
     s.info_.notes.push_back(fmt::format("the video names no frame rate: {} Hz is assumed", rate));
   }
+  if (auto ok = s.take_time_file(); !ok) return tl::unexpected(ok.error());
   const double count = s.video_.get(cv::CAP_PROP_FRAME_COUNT);
-  if (count >= 1 && count < 1e9) {
-    s.promised_ = static_cast<std::int64_t>(count);
-    const std::int64_t after = std::max<std::int64_t>(0, s.promised_ - options.first);
-    const std::int64_t all = (after + options.step - 1) / options.step;
+  if (s.times_ || (count >= 1 && count < 1e9)) {
+    std::int64_t all = 0;
+    if (s.times_) {
+      for (const TimeLine& line : s.times_->lines) all += s.chosen(line.frame) ? 1 : 0;
+    } else {
+      s.promised_ = static_cast<std::int64_t>(count);
+      const std::int64_t after = std::max<std::int64_t>(0, s.promised_ - options.first);
+      all = (after + options.step - 1) / options.step;
+    }
     s.info_.frames = static_cast<std::size_t>(
         options.count < 0 ? all : std::min<std::int64_t>(all, options.count));
   }
@@ -138,9 +238,13 @@ Expected<std::unique_ptr<FrameSource>> VideoSource::open(const std::string& path
         "the video asks players to turn it by {} degrees: it is used as it is stored", turn));
   }
   if (!s.reopen()) return fail(ErrorCode::io, "the video cannot be opened again", path);
-  s.container_times_ = !options.rate_hz && s.probe_times();
-  if (!s.container_times_) s.options_.rate_hz = options.rate_hz.value_or(rate);
-  if (!options.rate_hz) {
+  if (!options.rate_hz && s.times_) {
+    s.info_.notes.push_back(fmt::format("times from {}", time_file_of(path).string()));
+  } else {
+    s.container_times_ = !options.rate_hz && s.probe_times();
+    if (!s.container_times_) s.options_.rate_hz = options.rate_hz.value_or(rate);
+  }
+  if (!options.rate_hz && !s.times_) {
     s.info_.notes.push_back(
         s.container_times_
             ? "times are the container's"
@@ -165,8 +269,8 @@ FramePtr VideoSource::make_frame(const cv::Mat& image, std::int64_t time_ns) {
     image.copyTo(grey);
     return frame;
   }
-  cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);
-  if (options_.colour) {
+  cv::cvtColor(image, grey, cv::COLOR_BGR2GRAY);  // three equal channels: exactly their value
+  if (info_.colour) {
     frame->colour = ColourImage(image.cols, image.rows);
     cv::Mat rgb(image.rows, image.cols, CV_8UC3, frame->colour.data());
     cv::cvtColor(image, rgb, cv::COLOR_BGR2RGB);
@@ -198,22 +302,27 @@ Expected<FramePtr> VideoSource::next(const std::stop_token& stop) {
   cv::Mat image;
   try {
     while (!ended_ && !stop.stop_requested()) {
-      if ((options_.count >= 0 && taken_ >= options_.count) || !video_.grab()) {
+      if ((options_.count >= 0 && taken_ >= options_.count) || !grab()) {
         ended_ = true;
-        report_missing_end();
+        if (options_.count < 0 || taken_ < options_.count) {
+          if (times_) {
+            report_lines_without_frame(times_->lines.size());
+          } else {
+            report_missing_end();
+          }
+        }
         break;
       }
-      const std::int64_t index = position_++;
-      if (index < options_.first || (index - options_.first) % options_.step != 0) continue;
-      ++taken_;
-      std::int64_t time = container_times_
-                              ? container_time_ns()
-                              : static_cast<std::int64_t>(std::llround(static_cast<double>(index) *
-                                                                       1e9 / *options_.rate_hz));
-      // The last frames of a stream with B-frames come out of the decoder without a time (0).
-      if (container_times_ && time == 0 && last_time_ns_ && info_.rate_hz > 0) {
-        time = *last_time_ns_ + std::llround(1e9 / info_.rate_hz);
+      std::int64_t index = position_++;
+      const TimeLine* line = nullptr;
+      if (times_) {
+        line = line_of_grabbed();
+        if (line == nullptr) continue;
+        index = line->frame;
       }
+      if (!chosen(index)) continue;
+      ++taken_;
+      const std::int64_t time = time_of(index, line);
       if (last_time_ns_ && time <= *last_time_ns_) {
         skip(fmt::format("{}: frame {}: its time {} ns does not follow {} ns", info_.path, index,
                          time, *last_time_ns_));
@@ -258,6 +367,7 @@ bool is_video_name(const std::string& name) {
 
 Expected<std::unique_ptr<FrameSource>> open_video(const std::string& path,
                                                   const SourceOptions& options) {
+  catch_ffmpeg_log();
   try {
     return VideoSource::open(path, options);
   } catch (const cv::Exception& e) {

@@ -149,8 +149,9 @@ Expected<Trajectory> read_kitti(const std::vector<TextLine>& lines, const std::s
 
 Expected<Trajectory> read_trajectory(const std::string& path,
                                      const TrajectoryReadOptions& options) {
-  const auto text = read_file_bytes(path);
+  auto text = read_file_bytes(path);
   if (!text) return tl::unexpected(text.error());
+  if (text->starts_with(kAppended)) text->resize(text->rfind('\n') + 1);
   std::vector<TextLine> lines = data_lines(*text);
   drop_header(lines);
   if (lines.empty()) return fail(ErrorCode::corrupt, "the file has no poses", path);
@@ -165,21 +166,23 @@ Expected<Trajectory> read_trajectory(const std::string& path,
   return read_timed(lines, path, *format);
 }
 
+void append_tum_line(std::string& text, const StampedPose& stamped) {
+  // Whole numbers, because a double loses the last digits of today's times.
+  const bool negative = stamped.time_ns < 0;
+  const std::uint64_t ns = negative
+                               ? std::uint64_t{0} - static_cast<std::uint64_t>(stamped.time_ns)
+                               : static_cast<std::uint64_t>(stamped.time_ns);
+  const Eigen::Vector3d& t = stamped.T_world_camera.translation();
+  const Eigen::Quaterniond& q = stamped.T_world_camera.rotation();
+  fmt::format_to(std::back_inserter(text),
+                 "{}{}.{:09d} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g}\n",
+                 negative ? "-" : "", ns / 1'000'000'000, ns % 1'000'000'000, t.x(), t.y(), t.z(),
+                 q.x(), q.y(), q.z(), q.w());
+}
+
 Expected<void> write_trajectory(const std::string& path, const Trajectory& trajectory) {
   std::string text = "# timestamp tx ty tz qx qy qz qw\n";
-  for (const StampedPose& stamped : trajectory) {
-    // Whole numbers, because a double loses the last digits of today's times.
-    const bool negative = stamped.time_ns < 0;
-    const std::uint64_t ns = negative
-                                 ? std::uint64_t{0} - static_cast<std::uint64_t>(stamped.time_ns)
-                                 : static_cast<std::uint64_t>(stamped.time_ns);
-    const Eigen::Vector3d& t = stamped.T_world_camera.translation();
-    const Eigen::Quaterniond& q = stamped.T_world_camera.rotation();
-    fmt::format_to(std::back_inserter(text),
-                   "{}{}.{:09d} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g} {:.17g}\n",
-                   negative ? "-" : "", ns / 1'000'000'000, ns % 1'000'000'000, t.x(), t.y(), t.z(),
-                   q.x(), q.y(), q.z(), q.w());
-  }
+  for (const StampedPose& stamped : trajectory) append_tum_line(text, stamped);
   return write_file_atomically(path, text);
 }
 

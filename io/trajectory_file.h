@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <string_view>
 
 #include "corvid/error.h"
 #include "corvid/pose.h"
@@ -19,6 +20,10 @@ struct TrajectoryReadOptions {
   double rate_hz = 10;  ///< of KITTI rows without times
 };
 
+/// What a file begins with that is appended to line by line while a run goes on: a last line
+/// without its end is not whole, and readers leave it out.
+inline constexpr std::string_view kAppended = "# appended line by line";
+
 /// Reads poses as `T_world_camera` in the order of time:
 ///   TUM    `time tx ty tz qx qy qz qw`, time in seconds, blanks or commas between;
 ///   KITTI  12 numbers, the upper 3x4 of the pose matrix, row by row;
@@ -27,6 +32,9 @@ struct TrajectoryReadOptions {
 /// that are zero, times that repeat or go back).
 [[nodiscard]] Expected<Trajectory> read_trajectory(const std::string& path,
                                                    const TrajectoryReadOptions& options = {});
+
+/// One line of the TUM format as write_trajectory() writes it.
+void append_tum_line(std::string& text, const StampedPose& stamped);
 
 /// Writes TUM format atomically: seconds with nine decimals, exact to the nanosecond; poses with 17
 /// significant digits.

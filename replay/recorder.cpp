@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <cerrno>
 #include <fstream>
 #include <iterator>
 #include <limits>
@@ -13,32 +14,29 @@
 #include <vector>
 
 #include "core/check.h"
+#include "io/io_fault.h"
 
 namespace corvid {
 namespace {
 namespace fs = std::filesystem;
 
-tl::unexpected<Error> cannot_write(const fs::path& path) {
-  return fail(ErrorCode::io, "cannot be written", path.string(),
-              "check the folder's permissions and the free space");
-}
-
 /// The file has its name only when it is whole.
-Expected<void> write_whole(const fs::path& path, const char* bytes, std::size_t size) {
+Expected<void> write_whole(const fs::path& path, std::span<const std::uint8_t> bytes) {
   const fs::path part = path.parent_path() / ("." + path.filename().string() + ".part");
+  errno = 0;
   std::ofstream out(part, std::ios::binary | std::ios::trunc);
-  out.write(bytes, static_cast<std::streamsize>(size));
+  out.write(reinterpret_cast<const char*>(bytes.data()), std::ssize(bytes));
   out.close();
+  int code = out ? 0 : errno;
   std::error_code trouble;
   if (out) fs::rename(part, path, trouble);
-  if (!out || trouble) {
-    fs::remove(part, trouble);
-    return cannot_write(path);
-  }
-  return {};
+  if (out && !trouble) return {};
+  if (trouble) code = trouble.value();
+  fs::remove(part, trouble);
+  return io_fault("cannot be written", path, code);
 }
 Expected<void> write_whole(const fs::path& path, const std::string& text) {
-  return write_whole(path, text.data(), text.size());
+  return write_whole(path, {reinterpret_cast<const std::uint8_t*>(text.data()), text.size()});
 }
 
 /// ASL's sensor.yaml; the camera is the body, so T_BS is the identity.
@@ -77,26 +75,6 @@ Expected<std::string> sensor_yaml(const SourceInfo& info) {
       fmt::join(values, ", "));
 }
 
-Expected<std::vector<unsigned char>> encode(const Frame& frame, const fs::path& path) {
-  cv::Mat image;
-  if (frame.colour.empty()) {
-    image = cv::Mat(frame.grey.height(), frame.grey.width(), CV_8UC1,
-                    const_cast<std::uint8_t*>(frame.grey.data()));  // only read
-  } else {
-    const cv::Mat rgb(frame.colour.height(), frame.colour.width(), CV_8UC3,
-                      const_cast<Rgb8*>(frame.colour.data()));
-    cv::cvtColor(rgb, image, cv::COLOR_RGB2BGR);
-  }
-  std::vector<unsigned char> bytes;
-  bool good = false;
-  try {
-    // Level 1: noise does not pack any better by working longer.
-    good = cv::imencode(".png", image, bytes, {cv::IMWRITE_PNG_COMPRESSION, 1});
-  } catch (const cv::Exception&) {
-  }
-  if (!good) return fail(ErrorCode::io, "the image cannot be encoded as PNG", path.string());
-  return bytes;
-}
 }  // namespace
 
 struct Recorder::Impl {
@@ -131,41 +109,63 @@ Expected<Recorder> Recorder::open(const fs::path& folder, const SourceInfo& info
   if (trouble == std::errc::not_a_directory || trouble == std::errc::file_exists)
     return fail(ErrorCode::invalid_argument, "is or lies below a file, where a folder must be",
                 folder.string(), "record into a new folder");
-  if (trouble)
-    return fail(ErrorCode::io, "cannot be made: " + trouble.message(), impl->images.string(),
-                "check the folder's permissions and the free space");
-  if (auto written = write_whole(camera / "sensor.yaml", *yaml); !written)
-    return tl::unexpected(written.error());
+  if (trouble) return io_fault("cannot be made", impl->images, trouble.value());
+  if (info.intrinsics != IntrinsicsOrigin::guess) {
+    if (auto written = write_whole(camera / "sensor.yaml", *yaml); !written)
+      return tl::unexpected(written.error());
+  }
+  errno = 0;
   impl->list.open(impl->list_path, std::ios::binary | std::ios::trunc);
   impl->list << "#timestamp [ns],filename\n" << std::flush;
-  if (!impl->list) return cannot_write(impl->list_path);
+  if (!impl->list) return io_fault("cannot be written", impl->list_path, errno);
   return Recorder(std::move(impl));
 }
 
-Expected<void> Recorder::write(const Frame& frame) {
+Expected<std::vector<std::uint8_t>> Recorder::encode(const Frame& frame) {
+  cv::Mat image;
+  if (frame.colour.empty()) {
+    image = cv::Mat(frame.grey.height(), frame.grey.width(), CV_8UC1,
+                    const_cast<std::uint8_t*>(frame.grey.data()));  // only read
+  } else {
+    const cv::Mat rgb(frame.colour.height(), frame.colour.width(), CV_8UC3,
+                      const_cast<Rgb8*>(frame.colour.data()));
+    cv::cvtColor(rgb, image, cv::COLOR_RGB2BGR);
+  }
+  std::vector<unsigned char> bytes;
+  bool good = false;
+  try {
+    // Level 1: noise does not pack any better by working longer.
+    good = cv::imencode(".png", image, bytes, {cv::IMWRITE_PNG_COMPRESSION, 1});
+  } catch (const cv::Exception&) {
+  }
+  if (!good) {
+    return fail(ErrorCode::invalid_argument,
+                fmt::format("frame {} cannot be encoded as PNG", frame.id.value),
+                impl_->folder.string());
+  }
+  return bytes;
+}
+
+Expected<void> Recorder::append(const Frame& frame, std::span<const std::uint8_t> picture) {
   if (frame.time_ns <= impl_->last_ns)
     return fail(
         ErrorCode::invalid_argument,
         fmt::format("capture time {} ns does not follow {} ns", frame.time_ns, impl_->last_ns),
         frame.name.empty() ? fmt::format("frame {}", frame.id.value) : frame.name);
   const std::string name = fmt::format("{}.png", frame.time_ns);
-  const fs::path path = impl_->images / name;
-  const auto bytes = encode(frame, path);
-  if (!bytes) return tl::unexpected(bytes.error());
-  if (auto written = write_whole(path, reinterpret_cast<const char*>(bytes->data()), bytes->size());
-      !written)
-    return written;
+  if (auto written = write_whole(impl_->images / name, picture); !written) return written;
+  errno = 0;
   impl_->list << fmt::format("{},{}\n", frame.time_ns, name) << std::flush;
-  if (!impl_->list) return cannot_write(impl_->list_path);
+  if (!impl_->list) return io_fault("cannot be written", impl_->list_path, errno);
   impl_->last_ns = frame.time_ns;
   return {};
 }
 
-Expected<void> Recorder::write_truth(const Trajectory& truth) {
+Expected<bool> Recorder::write_truth(const Trajectory& truth) {
   const fs::path sensor = impl_->folder / "mav0" / "state_groundtruth_estimate0";
   std::error_code trouble;
   fs::create_directories(sensor, trouble);
-  if (trouble) return cannot_write(sensor);
+  if (trouble) return io_fault("cannot be made", sensor, trouble.value());
   std::string text =
       "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], "
       "q_RS_z [], v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], "
@@ -177,25 +177,9 @@ Expected<void> Recorder::write_truth(const Trajectory& truth) {
     fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},0,0,0,0,0,0,0,0,0\n",
                    stamped.time_ns, t.x(), t.y(), t.z(), q.w(), q.x(), q.y(), q.z());
   }
-  return write_whole(sensor / "data.csv", text);
-}
-
-Expected<std::uint64_t> record(FrameSource& source, const fs::path& folder,
-                               const std::stop_token& stop) {
-  auto recorder = Recorder::open(folder, source.info());
-  if (!recorder) return tl::unexpected(recorder.error());
-  if (const Trajectory truth = source.truth(); !truth.empty())
-    if (auto written = recorder->write_truth(truth); !written)
-      return tl::unexpected(written.error());
-  std::uint64_t frames = 0;
-  while (!stop.stop_requested()) {
-    const auto frame = source.next(stop);
-    if (!frame) return tl::unexpected(frame.error());
-    if (!*frame) break;
-    if (auto written = recorder->write(**frame); !written) return tl::unexpected(written.error());
-    ++frames;
-  }
-  return frames;
+  if (auto written = write_whole(sensor / "data.csv", text); !written)
+    return tl::unexpected(written.error());
+  return true;
 }
 
 }  // namespace corvid

@@ -20,6 +20,7 @@ struct EngineSinks {
   /// (options.mapping.memory_mb); null: pictures and depth maps stay in memory, which then grows
   /// with the flight, and voxels beyond the budget are lost. What a run returns reads from it, too.
   std::shared_ptr<Archive> archive = nullptr;
+  MapSink* map = nullptr;
 };
 
 /// The whole engine: a source goes in; poses, a map and a mesh come out.

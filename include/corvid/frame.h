@@ -21,6 +21,9 @@ struct Frame {
   ColourImage colour;  ///< empty if the camera is grey
   std::shared_ptr<const Camera> camera;
   std::string name;  ///< file name where there is one; used in messages and exports
+  /// Why the camera gives no picture at this time (unplugged, stalled); then both pictures are
+  /// empty. Empty for every frame with a picture.
+  std::string blind;
 };
 using FramePtr = std::shared_ptr<const Frame>;
 

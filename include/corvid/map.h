@@ -42,7 +42,8 @@ struct PoseEvent {
   /// Rises when poses jump against those given before: a new segment, a relocalization, a closed
   /// loop, a merge of segments. Positions of different counts must not be compared.
   std::uint64_t resets = 0;
-  double latency_ms = 0;  ///< from the frame's entry into the engine to this event
+  double latency_ms =
+      0;  ///< from the frame's entry into the engine to this event; 0 if it is blind
 };
 
 /// What recognised places did to a map.

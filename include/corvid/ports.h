@@ -45,6 +45,8 @@ struct SourceCounts {
   std::uint64_t skipped = 0;  ///< could not be read: missing, corrupt, changed size, time went back
   std::uint64_t dropped = 0;  ///< came too late for the consumer (paced replay, live)
   std::vector<std::string> messages;  ///< one per skip, at most 100
+  std::uint64_t lost = 0;             ///< counted by the camera, but never came to this program
+  std::uint64_t interruptions = 0;    ///< times that the camera was away or stood still
 };
 
 /// Port: frames come in. One owner at a time; not thread-safe.
@@ -53,7 +55,8 @@ class FrameSource {
   virtual ~FrameSource() = default;
   [[nodiscard]] virtual const SourceInfo& info() const = 0;
   /// The next frame; nullptr at the end of the source. Frames that cannot be read are skipped and
-  /// counted; an error means that nothing more will come.
+  /// counted; an error means that nothing more will come. While a live camera gives no pictures,
+  /// blind frames come instead, about one a second (Frame::blind); they are not counted.
   [[nodiscard]] virtual Expected<FramePtr> next(const std::stop_token& stop = {}) = 0;
   [[nodiscard]] virtual SourceCounts counts() const = 0;
   /// True camera poses, if the source has them; empty otherwise. Times match the frames' or
@@ -70,6 +73,14 @@ class PoseSink {
  public:
   virtual ~PoseSink() = default;
   virtual void on_pose(const PoseEvent& event) = 0;
+};
+
+/// Port: the map goes out whenever it has changed. Called on the backend's thread; must return
+/// quickly.
+class MapSink {
+ public:
+  virtual ~MapSink() = default;
+  virtual void on_map(const std::shared_ptr<const MapSnapshot>& map) = 0;
 };
 
 /// Port: changed mesh blocks go out. Called on the mapping thread.

@@ -44,7 +44,8 @@ struct CameraRequest {
 struct StreamSettings {
   std::string format;
   int width_px = 0, height_px = 0;
-  double rate_hz = 0;  ///< 0: the driver does not say
+  double rate_hz = 0;   ///< 0: the driver does not say
+  bool colour = false;  ///< pictures come with colour
   /// What the user should know, one sentence each: a request that the driver changed, times that
   /// are those of arrival.
   std::vector<std::string> notes;
@@ -80,6 +81,9 @@ class CameraStream {
   [[nodiscard]] virtual Expected<std::optional<Capture>> next(std::chrono::milliseconds timeout,
                                                               const std::stop_token& stop) = 0;
   [[nodiscard]] virtual StreamCounts counts() const = 0;
+  /// The stream is over for good, and opening it anew is of no use: the end of a pipe. next() has
+  /// given nothing, or an error that says why it ended too early.
+  [[nodiscard]] virtual bool ended() const { return false; }
 };
 
 }  // namespace corvid

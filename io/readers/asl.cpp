@@ -28,11 +28,18 @@ Expected<void> read_image_rows(const fs::path& cam, ImageList& list) {
   const auto text = read_file_bytes(csv);
   if (!text) return tl::unexpected(text.error());
   bool first = true;
-  for (const TextLine& line : data_lines(*text)) {
+  const std::vector<TextLine> lines = data_lines(*text);
+  for (const TextLine& line : lines) {
     const std::size_t comma = std::min(line.text.find(','), line.text.size());
     const std::string_view time_text = trim(line.text.substr(0, comma));
     const auto time = to_integer(time_text);
     std::string name(trim(line.text.substr(std::min(comma + 1, line.text.size()))));
+    // A recording that was killed may end within a line: it is none unless its image is there.
+    if (&line == &lines.back() && !text->ends_with('\n') &&
+        (!time || name.empty() || !is_file(cam / "data" / name))) {
+      list.notes.push_back(fmt::format("{}: the last line is cut off and left out", csv.string()));
+      break;
+    }
     const bool header = first && !time && time_text.find("time") != std::string_view::npos;
     first = false;
     if (header) continue;

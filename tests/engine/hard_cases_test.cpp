@@ -194,6 +194,36 @@ TEST(HardCases, ACoveredLensIsLostAndFound) {
   }
 }
 
+// It hangs where it was while it is away: the map goes on, however long that took.
+TEST(HardCases, AnUnpluggedCameraIsLostAtOnceAndGoesOnInItsMap) {
+  for (const std::size_t blind : {5U, 300U}) {
+    Disturbance away;
+    away.away = {30, 30 + blind};
+    away.pose = [blind](const SyntheticFlight& flight, std::size_t i) {
+      return flight.true_pose(i < 30 ? i : i < 30 + blind ? 29 : i - blind);
+    };
+    const std::size_t frames = 70 + blind;
+    const Flown flown = fly(frames, away);
+    EXPECT_EQ(flown.at(30).state, TrackingState::lost);
+    EXPECT_EQ(flown.at(30).reason, "the camera is unplugged");
+    expect_lost_and_found(flown, 30, 30 + blind, frames);
+    EXPECT_EQ(flown.count(30 + blind, frames, TrackingState::lost), 0U);
+    EXPECT_EQ(flown.result.events.back().segment, 0);
+    EXPECT_EQ(flown.result.events.back().resets, 0U);
+    EXPECT_EQ(flown.result.trajectory.size(), frames - blind);
+    expect_honest(flown);
+  }
+}
+
+TEST(HardCases, ACameraThatIsUnpluggedBeforeThereIsAMapIsNotLost) {
+  Disturbance away;
+  away.away = {0, 20};
+  const Flown flown = fly(60, away);
+  EXPECT_EQ(flown.count(0, 20, TrackingState::starting), 20U);
+  EXPECT_TRUE(flown.result.events.back().T_world_camera);
+  expect_honest(flown);
+}
+
 TEST(HardCases, AKidnappedCameraDoesNotGoOnInTheOldMapAsIfNothingWere) {
   for (const std::size_t far : {40U, 300U}) {
     Disturbance kidnap;

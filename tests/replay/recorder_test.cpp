@@ -9,6 +9,7 @@
 #include <string>
 
 #include "io/source.h"
+#include "replay/async_recorder.h"
 #include "scenes/rendered_views.h"
 
 namespace corvid {
@@ -55,6 +56,16 @@ class RecorderTest : public testing::Test {
   fs::path folder;
 };
 
+/// All of the flight as an ASL folder; the number of frames written.
+std::uint64_t record(FrameSource& source, const fs::path& folder) {
+  auto recorder = Recorder::open(folder, source.info());
+  EXPECT_TRUE(recorder.has_value() && recorder->write_truth(source.truth()).has_value());
+  AsyncRecorder async(std::make_unique<Recorder>(std::move(*recorder)), {});
+  while (const FramePtr frame = source.next().value()) EXPECT_TRUE(async.push_waiting(frame, {}));
+  EXPECT_TRUE(async.finish().has_value());
+  return async.counts().written;
+}
+
 std::string read(const fs::path& path) {
   std::ifstream in(path, std::ios::binary);
   return {std::istreambuf_iterator<char>(in), {}};
@@ -72,7 +83,7 @@ TEST_F(RecorderTest, ARecordingComesBackExactly) {
       o.model = model;
       o.colour = colour;
       SyntheticFlight flight(o);
-      ASSERT_EQ(record(flight, folder).value(), 5u);
+      ASSERT_EQ(record(flight, folder), 5u);
       const Replay back = replay();
       ASSERT_EQ(back.frames.size(), 5u);
       EXPECT_EQ(back.counts.skipped, 0u) << testing::PrintToString(back.counts.messages);
@@ -111,7 +122,7 @@ TEST_F(RecorderTest, AKilledRecordingIsReadUpToItsEnd) {
 
 TEST_F(RecorderTest, WhatADiskCutOffIsSkippedAndCounted) {
   SyntheticFlight flight(options());
-  ASSERT_EQ(record(flight, folder).value(), 5u);
+  ASSERT_EQ(record(flight, folder), 5u);
   const fs::path last = camera() / "data" / "1403638127445096960.png";
   const std::string image = read(last), list = read(camera() / "data.csv");
   ASSERT_FALSE(image.empty());
@@ -119,9 +130,18 @@ TEST_F(RecorderTest, WhatADiskCutOffIsSkippedAndCounted) {
   EXPECT_EQ(replay().frames.size(), 4u);
   EXPECT_EQ(replay().counts.skipped, 1u);
   write(last, image);
-  write(camera() / "data.csv", list.substr(0, list.size() - 12));  // within the last name
-  EXPECT_EQ(replay().frames.size(), 4u);
-  EXPECT_EQ(replay().counts.skipped, 1u);
+  // Anywhere within the last line: it is none, but all before it are.
+  const std::size_t line = list.rfind('\n', list.size() - 2) + 1;
+  for (std::size_t end = line + 1; end < list.size() - 1; ++end) {
+    write(camera() / "data.csv", list.substr(0, end));
+    const Replay cut = replay();
+    EXPECT_EQ(cut.frames.size(), 4u) << end - line;
+    EXPECT_EQ(cut.counts.skipped, 0u);
+    EXPECT_THAT(cut.info.notes, testing::Contains(testing::HasSubstr("cut off")));
+  }
+  // Only its line feed is missing: it says all.
+  write(camera() / "data.csv", list.substr(0, list.size() - 1));
+  EXPECT_EQ(replay().frames.size(), 5u);
 }
 
 TEST_F(RecorderTest, RefusesWhatItCannotDo) {
@@ -156,11 +176,14 @@ TEST_F(RecorderTest, RefusesWhatItCannotDo) {
   EXPECT_EQ(blocked.error().code, ErrorCode::invalid_argument);
 }
 
-TEST_F(RecorderTest, StopsWhenAskedTo) {
+TEST_F(RecorderTest, AGuessedCameraIsGuessedAgain) {
   SyntheticFlight flight(options());
-  std::stop_source stop;
-  stop.request_stop();
-  EXPECT_EQ(record(flight, folder, stop.get_token()).value(), 0u);
+  SourceInfo info = flight.info();
+  info.intrinsics = IntrinsicsOrigin::guess;
+  auto recorder = Recorder::open(folder, info);
+  ASSERT_TRUE(recorder.has_value());
+  ASSERT_TRUE(recorder->write(*flight.render(0)).has_value());
+  EXPECT_EQ(replay().info.intrinsics, IntrinsicsOrigin::guess);
 }
 
 }  // namespace

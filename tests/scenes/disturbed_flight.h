@@ -19,6 +19,7 @@ namespace corvid::scenes {
 struct Disturbance {
   using Span = std::pair<std::size_t, std::size_t>;  ///< frames [first, second)
 
+  Span away{};                               ///< the camera is unplugged: blind frames
   Span covered{};                            ///< a hand before the lens: dark, noise only
   double missing = 0;                        ///< share of the frames that never come
   std::optional<std::size_t> twice_every;    ///< each n-th frame comes twice
@@ -96,7 +97,9 @@ class DisturbedFlight final : public FrameSource {
       shown = disturbance_.frozen.first - 1;
     auto frame = std::make_shared<Frame>();
     const auto [from, to] = disturbance_.covered;
-    if (i >= from && i < to) {
+    if (i >= disturbance_.away.first && i < disturbance_.away.second) {
+      frame->blind = "the camera is unplugged";
+    } else if (i >= from && i < to) {
       frame->grey = GreyImage(info_.camera->width_px, info_.camera->height_px);
       Random noise(mix64(disturbance_.seed) + i);
       for (std::size_t p = 0; p < frame->grey.size(); ++p)

@@ -1,0 +1,29 @@
+#include "io/camera/frame_count.h"
+
+#include <fmt/format.h>
+
+namespace corvid {
+
+std::uint64_t FrameCount::came(std::uint32_t number) {
+  if (!any_) {
+    any_ = true;
+    sequence_ = number;
+  } else {
+    const std::uint32_t step = number - last_number_;
+    const bool rises = step != 0 && step < std::uint32_t{1} << 31;
+    sequence_ += rises ? step : 1;
+    counts_.lost += rises ? step - 1 : 0;
+  }
+  last_number_ = number;
+  return sequence_;
+}
+
+void FrameCount::damaged(std::uint64_t sequence, const std::string& why) {
+  constexpr std::size_t kMostMessages = 100;
+  ++counts_.damaged;
+  if (counts_.messages.size() < kMostMessages) {
+    counts_.messages.push_back(fmt::format("picture {}: {}", sequence, why));
+  }
+}
+
+}  // namespace corvid
