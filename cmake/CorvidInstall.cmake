@@ -29,6 +29,9 @@ install(FILES ${PROJECT_BINARY_DIR}/corvidConfig.cmake ${PROJECT_BINARY_DIR}/cor
         DESTINATION ${CORVID_PACKAGE_DIR})
 
 install(TARGETS corvid_program RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+configure_file(packaging/corvid.service.in ${PROJECT_BINARY_DIR}/corvid.service @ONLY)
+install(FILES ${PROJECT_BINARY_DIR}/corvid.service DESTINATION lib/systemd/system)
+install(FILES packaging/live.conf DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples)
 install(FILES README.md LICENSE NOTICE CHANGELOG.md DESTINATION ${CMAKE_INSTALL_DOCDIR})
 
 # A consumer's project, built against an installed copy.
