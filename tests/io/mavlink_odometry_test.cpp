@@ -223,9 +223,9 @@ TEST(MavlinkOdometry, ScalesUncertaintyIsInTheVelocitys) {
 
 TEST(MavlinkOdometry, ResetsAreCountedModulo256AndInterruptTheVelocity) {
   OdometryStream stream(measured_only());
+  int at = 0;
   for (const auto& [resets, expected] : std::vector<std::pair<std::uint64_t, int>>{
            {0, 0}, {1, 1}, {255, 255}, {256, 0}, {700, 188}}) {
-    static int at = 0;
     for (int i = 0; i < 3; ++i, ++at) {
       // Each reset comes with a jump, which must not look like a velocity.
       Pose T = SteadyFlight().at(0.05 * at);
