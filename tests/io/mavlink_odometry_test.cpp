@@ -162,8 +162,8 @@ TEST(MavlinkOdometry, FieldsOfASteadyFlight) {
   ASSERT_TRUE(sent[11]);
   const Odometry& m = *sent[11];
   EXPECT_EQ(m.time_usec, 1'000'000U + 11 * 50'000);
-  EXPECT_EQ(m.frame_id, 20);
-  EXPECT_EQ(m.child_frame_id, 12);
+  EXPECT_EQ(m.frame_id, mavlink::Frame::local_frd);
+  EXPECT_EQ(m.child_frame_id, mavlink::Frame::body_frd);
   EXPECT_EQ(m.estimator_type, 2);
   EXPECT_EQ(m.quality, 100);
   const SteadyFlight flight;
