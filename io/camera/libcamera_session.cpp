@@ -27,6 +27,8 @@ void LibcameraSession::queue(libcamera::Request* request) {
 
 void LibcameraSession::close() {
   if (!listening_) return;
+  // Two messages: libcamera's parts of what was queued stand between them.
+  invokeMethod(&LibcameraSession::flush_here, libcamera::ConnectionTypeBlocking);
   invokeMethod(&LibcameraSession::close_here, libcamera::ConnectionTypeBlocking);
   listening_ = false;
 }
@@ -38,6 +40,8 @@ void LibcameraSession::queue_here(libcamera::Request* request) {
     log().debug("libcamera takes no request: {}", status);
   }
 }
+
+void LibcameraSession::flush_here() {}
 
 void LibcameraSession::close_here() {
   camera_->requestCompleted.disconnect(this);

@@ -59,6 +59,7 @@ class LibcameraSession final : public libcamera::Object {
 
  private:
   void queue_here(libcamera::Request* request);
+  void flush_here();
   void close_here();
   void on_completed(libcamera::Request* request);
   void on_disconnected();

@@ -68,8 +68,9 @@ double within_limits(const libcamera::ControlInfo& info, double wanted, double u
   if (!low || !high || !(*low <= *high)) return wanted * unit;
   const double value = std::clamp(wanted * unit, *low, *high);
   if (value != wanted * unit) {
-    notes.push_back(fmt::format("The {} {}{} is outside of the camera's {} to {}; {} was taken.",
-                                name, wanted, unit_name, *low / unit, *high / unit, value / unit));
+    notes.push_back(fmt::format(
+        "The {} {}{} is outside of the camera's {} to {}{}; {}{} was taken.", name, wanted,
+        unit_name, *low / unit, *high / unit, unit_name, value / unit, unit_name));
   }
   return value;
 }

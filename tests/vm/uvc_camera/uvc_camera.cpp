@@ -17,6 +17,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <deque>
+#include <map>
 #include <string>
 #include <utility>
 #include <vector>
@@ -87,6 +88,8 @@ class UvcCamera {
   UvcDevice device_;
   UsbCable cable_;
   std::deque<std::pair<std::uint32_t, std::uint32_t>> waiting_;  ///< transfers: sequence, length
+  std::uint32_t newest_ = 0;  ///< sequence of the newest transfer, whatever became of it
+  std::map<std::uint32_t, std::uint32_t> early_unlinks_;  ///< by the transfer's sequence
   bool streaming_ = false, paused_ = false, cut_ = false, faulty_ = false;
   Time due_;
   Bytes picture_;  ///< being sent; empty between pictures
@@ -120,6 +123,12 @@ void UvcCamera::serve() {
   const UsbRequest request = cable_.receive();
   if (request.unlink) {
     serve_unlink(request);
+    return;
+  }
+  newest_ = request.sequence;
+  if (const auto early = early_unlinks_.find(request.sequence); early != early_unlinks_.end()) {
+    cable_.reply_unlink(early->second, -ECONNRESET);
+    early_unlinks_.erase(early);
   } else if (request.endpoint == 0) {
     serve_control(request);
   } else if (request.endpoint == 1 && request.to_host) {
@@ -138,6 +147,12 @@ void UvcCamera::serve_control(const UsbRequest& request) {
 }
 
 void UvcCamera::serve_unlink(const UsbRequest& request) {
+  // The kernel may send this before the transfer itself. An answer before that arrives would make
+  // it forget the transfer, and end the connection at the answer to it.
+  if (request.victim > newest_) {
+    early_unlinks_[request.victim] = request.sequence;
+    return;
+  }
   const auto at = std::find_if(waiting_.begin(), waiting_.end(), [&](const auto& transfer) {
     return transfer.first == request.victim;
   });
