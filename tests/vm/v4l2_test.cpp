@@ -57,6 +57,18 @@ void expect_bars(const GreyImage& grey, const std::string& format) {
   for (std::size_t i = 0; i < bars.size(); ++i) EXPECT_NEAR(bars[i], expected[i], 2) << i;
 }
 
+/// The red and the blue bar, each in its middle.
+void expect_colours(const ColourImage& colour) {
+  const auto expect_near = [&](int bar, int r, int g, int b) {
+    const Rgb8& got = colour((2 * bar + 1) * colour.width() / 16, colour.height() / 2);
+    EXPECT_NEAR(got.r, r, 8);
+    EXPECT_NEAR(got.g, g, 8);
+    EXPECT_NEAR(got.b, b, 8);
+  };
+  expect_near(5, 255, 0, 0);
+  expect_near(6, 0, 0, 255);
+}
+
 /// Captures a picture of vivid's bars in every format that we understand; returns their number.
 std::size_t check_every_format(const std::string& node) {
   const ControlPanel panel(node);
@@ -73,12 +85,16 @@ std::size_t check_every_format(const std::string& node) {
   }
   for (const std::string& format : formats) {
     SCOPED_TRACE(node + " " + format);
-    const auto stream = opened(request_of(node, format, 320, 180, 60));
+    CameraRequest request = request_of(node, format, 320, 180, 60);
+    request.colour = true;
+    const auto stream = opened(request);
     if (!stream) continue;
     const Capture capture = taken(*stream);
     if (capture.grey.empty()) continue;
     EXPECT_EQ(std::pair(capture.grey.width(), capture.grey.height()), std::pair(320, 180));
     expect_bars(capture.grey, format);
+    EXPECT_EQ(capture.colour.empty(), &expected_bars(format) == &kLuminance);
+    if (!capture.colour.empty()) expect_colours(capture.colour);
     EXPECT_EQ(stream->counts().damaged, 0u);
   }
   return formats.size();
