@@ -439,6 +439,11 @@ int format_rank(std::uint32_t code) {
   return format ? format->rank : -1;
 }
 
+bool has_colour(std::uint32_t code) {
+  const Format* format = find_format(code);
+  return format && format->kind != Kind::grey;
+}
+
 Expected<void> convert_raw(std::uint32_t code, int width_px, int height_px,
                            std::span<const RawPlane> planes, bool colour, Capture& out) {
   const Format* format = find_format(code);

@@ -86,7 +86,7 @@ class V4l2Stream final : public CameraStream {
  private:
   [[nodiscard]] Expected<void> map_buffers();
   void note_times(const v4l2_buffer& buffer);
-  [[nodiscard]] tl::unexpected<Error> ended(int error, const std::string& what) const {
+  [[nodiscard]] tl::unexpected<Error> broken_off(int error, const std::string& what) const {
     return tl::unexpected(device_.fault(error, what));
   }
   [[nodiscard]] Expected<void> take_events() const;
@@ -120,10 +120,11 @@ Expected<void> V4l2Stream::start(const CameraRequest& request) {
   std::ignore = device_.call(VIDIOC_SUBSCRIBE_EVENT, &change);  // most cameras have none
   int type = static_cast<int>(device_.buffer_type());
   if (const int error = device_.call(VIDIOC_STREAMON, &type)) {
-    return ended(error, error == ENOSPC || error == EPIPE
-                            ? "the camera cannot start: its bus has no room left for this size "
-                              "and rate (another port, or a smaller mode, may help)"
-                            : "the camera cannot start");
+    return broken_off(error,
+                      error == ENOSPC || error == EPIPE
+                          ? "the camera cannot start: its bus has no room left for this size "
+                            "and rate (another port, or a smaller mode, may help)"
+                          : "the camera cannot start");
   }
   streaming_ = true;
   return {};
@@ -135,12 +136,12 @@ Expected<void> V4l2Stream::map_buffers() {
   wanted.type = device_.buffer_type();
   wanted.memory = V4L2_MEMORY_MMAP;
   if (const int error = device_.call(VIDIOC_REQBUFS, &wanted)) {
-    return ended(error, "the camera gives no buffers");
+    return broken_off(error, "the camera gives no buffers");
   }
   for (std::uint32_t i = 0; i < wanted.count; ++i) {
     Buffer buffer(device_, i);
     if (const int error = device_.call(VIDIOC_QUERYBUF, &buffer.head)) {
-      return ended(error, fmt::format("buffer {} cannot be had", i));
+      return broken_off(error, fmt::format("buffer {} cannot be had", i));
     }
     std::vector<MappedPlane>& planes = buffers_.emplace_back();
     if (device_.multiplanar()) {
@@ -151,14 +152,14 @@ Expected<void> V4l2Stream::map_buffers() {
       planes.emplace_back(device_.fd(), buffer.head.length, buffer.head.m.offset);
     }
     if (!std::all_of(planes.begin(), planes.end(), [](const auto& p) { return p.mapped(); })) {
-      return ended(errno, fmt::format("buffer {} cannot be mapped", i));
+      return broken_off(errno, fmt::format("buffer {} cannot be mapped", i));
     }
     if (i == 0) note_times(buffer.head);
     if (const int error = device_.call(VIDIOC_QBUF, &buffer.head)) {
-      return ended(error, fmt::format("buffer {} cannot be queued", i));
+      return broken_off(error, fmt::format("buffer {} cannot be queued", i));
     }
   }
-  if (buffers_.empty()) return ended(ENOMEM, "the camera gives no buffers");
+  if (buffers_.empty()) return broken_off(ENOMEM, "the camera gives no buffers");
   return {};
 }
 
@@ -180,7 +181,7 @@ Expected<std::optional<Capture>> V4l2Stream::next(std::chrono::milliseconds time
     pollfd ready{.fd = device_.fd(), .events = POLLIN | POLLPRI, .revents = 0};
     const int wait_ms = static_cast<int>(std::clamp<std::int64_t>(left_ms, 0, kWait_ms));
     const int count = ::poll(&ready, 1, wait_ms);
-    if (count < 0 && errno != EINTR) return ended(errno, "the camera cannot be waited for");
+    if (count < 0 && errno != EINTR) return broken_off(errno, "the camera cannot be waited for");
     if (count > 0) {
       if (auto ok = take_events(); !ok) return tl::unexpected(ok.error());
       auto capture = take_buffer((ready.revents & (POLLERR | POLLHUP | POLLNVAL)) != 0);
@@ -207,10 +208,13 @@ Expected<std::optional<Capture>> V4l2Stream::take_buffer(bool in_error) {
     if (error == EAGAIN && !in_error) return std::optional<Capture>();
     v4l2_capability capability{};
     const bool gone = device_.call(VIDIOC_QUERYCAP, &capability) == ENODEV;
-    return ended(gone ? ENODEV : error == EAGAIN ? EIO : error, "the camera's stream broke off");
+    return broken_off(gone              ? ENODEV
+                      : error == EAGAIN ? EIO
+                                        : error,
+                      "the camera's stream broke off");
   }
   if (buffer.head.index >= buffers_.size()) {
-    return ended(EPROTO, "the driver gave a buffer that it does not have");
+    return broken_off(EPROTO, "the driver gave a buffer that it does not have");
   }
   const std::int64_t arrival_ns = clock_.now_ns();
   const std::int64_t kernel_ns = std::int64_t{buffer.head.timestamp.tv_sec} * 1'000'000'000 +
@@ -218,7 +222,7 @@ Expected<std::optional<Capture>> V4l2Stream::take_buffer(bool in_error) {
   const std::uint64_t sequence = count(buffer.head.sequence);
   Expected<Capture> capture = convert(buffer);
   if (const int error = device_.call(VIDIOC_QBUF, &buffer.head)) {
-    return ended(error, "a buffer cannot be queued again");
+    return broken_off(error, "a buffer cannot be queued again");
   }
   if (!capture) {
     ++counts_.damaged;
