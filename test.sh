@@ -5,7 +5,7 @@
 #   ./test.sh --label unit    only the tests with this label (unit, device, replay, slow, vm)
 #   ./test.sh --sanitizers    also the address, undefined-behaviour and thread sanitizers' builds, without
 #                             the flights over real image sets (real_sets_tests) and without guests (vm)
-#   ./test.sh --extra         also installs colmap and npm, with which more checks run
+#   ./test.sh --extra         also installs colmap, with which more checks run
 # The tests labelled vm need cameras: they run with emulated ones in a guest made from a Debian kernel, for which
 # qemu is installed and 224 MB are fetched, once. Where that cannot be, they are skipped, with the reason.
 set -euo pipefail

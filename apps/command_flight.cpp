@@ -398,8 +398,9 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   live_export.reset();
 
   const SourceInfo& info = player.info();
-  const ExitCode code = judge(*result, info.kind + " " + info.path,
-                              signals.token().stop_requested(), plan.live, plan.cut_surface && !cut);
+  const ExitCode code =
+      judge(*result, info.kind + " " + info.path, signals.token().stop_requested(), plan.live,
+            plan.cut_surface && !cut);
   const RunNumbers numbers = count_run(*result);
   for (const std::string& line : summary(*result, numbers, cut_or_none, truth, plan.out)) {
     if (plan.json) {

@@ -14,7 +14,8 @@
 
 namespace corvid {
 
-/// One run of the engine with everything around it: what `replay`, `demo` and `live` have in common.
+/// One run of the engine with everything around it: what `replay`, `demo` and `live` have in
+/// common.
 struct FlightPlan {
   std::unique_ptr<FrameSource> source;  ///< not paced, unless it is a camera
   std::optional<double> rate;           ///< of the player; nothing: as fast as possible

@@ -54,7 +54,9 @@ Expected<std::unique_ptr<LiveFolder>> LiveFolder::create(const fs::path& run,
 }
 
 LiveFolder::LiveFolder(fs::path path, int fd)
-    : path_(std::move(path)), fd_(fd), thread_([this](const std::stop_token& stop) { run(stop); }) {}
+    : path_(std::move(path)),
+      fd_(fd),
+      thread_([this](const std::stop_token& stop) { run(stop); }) {}
 
 LiveFolder::~LiveFolder() {
   if (thread_.joinable()) {
@@ -124,8 +126,7 @@ void LiveFolder::write_lines(const std::string& lines) {
 }
 
 void LiveFolder::write_map(const MapSnapshot& map) {
-  if (auto written = write_sparse_map(map, path_); !written)
-    trouble(written.error().to_string());
+  if (auto written = write_sparse_map(map, path_); !written) trouble(written.error().to_string());
 }
 
 void LiveFolder::trouble(const std::string& what) {

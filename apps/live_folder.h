@@ -49,8 +49,8 @@ class LiveFolder final : public PoseSink, public MapSink {
 
   std::mutex mutex_;
   std::condition_variable_any changed_;
-  std::string lines_;                        // not yet written
-  std::shared_ptr<const MapSnapshot> map_;   // the newest, until it is written
+  std::string lines_;                       // not yet written
+  std::shared_ptr<const MapSnapshot> map_;  // the newest, until it is written
   std::jthread thread_;
 };
 

@@ -152,7 +152,8 @@ ExitCode run(int argc, const char* const* argv, Context& context) {
   std::vector<std::pair<const CLI::App*, Action>> commands;
   for (auto* add : {add_demo_command, add_replay_command, add_info_command, add_export_command,
                     add_eval_command, add_record_command, add_doctor_command, add_options_command,
-                    add_match_command, add_mvs_command, add_bench_command, add_live_command, add_cameras_command}) {
+                    add_match_command, add_mvs_command, add_bench_command, add_live_command,
+                    add_cameras_command}) {
     Action action = add(app);
     commands.emplace_back(commands_of(app).back(), std::move(action));
   }

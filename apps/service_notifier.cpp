@@ -27,8 +27,8 @@ void ServiceNotifier::on_pose(const PoseEvent& event) {
   }
   if (told_ns_ == 0 || now_ns - told_ns_ >= kStatusInterval_ns) {
     sd_notify(0, fmt::format("STATUS={}{}{}, frame {}, segment {}, scale {}",
-                             to_string(event.state), event.reason.empty() ? "" : ": ",
-                             event.reason, frames_, event.segment, to_string(event.scale))
+                             to_string(event.state), event.reason.empty() ? "" : ": ", event.reason,
+                             frames_, event.segment, to_string(event.scale))
                      .c_str());
     told_ns_ = now_ns;
   }

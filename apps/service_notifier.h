@@ -21,7 +21,8 @@ class ServiceNotifier final : public PoseSink {
 
  private:
   Clock& clock_;
-  std::int64_t watchdog_ns_ = 0;  ///< between two signs of life, a quarter of what is demanded; 0: none
+  std::int64_t watchdog_ns_ =
+      0;  ///< between two signs of life, a quarter of what is demanded; 0: none
   std::int64_t fed_ns_ = 0, told_ns_ = 0;
   std::uint64_t frames_ = 0;
   bool ready_ = false;

@@ -12,8 +12,10 @@ install(DIRECTORY include/corvid DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 # the names that they have in the tree, below a folder of their own.
 set(CORVID_ROOM_HEADERS "${CMAKE_INSTALL_INCLUDEDIR}/corvid/rooms")
 install(FILES io/source.h io/calibration.h io/trajectory_file.h io/positions_file.h io/options_file.h io/mesh_files.h
+              io/recording_writer.h
         DESTINATION ${CORVID_ROOM_HEADERS}/io)
-install(FILES replay/synthetic_flight.h replay/player.h replay/recorder.h
+install(FILES replay/synthetic_flight.h replay/player.h replay/recorder.h replay/recording.h
+              replay/async_recorder.h
         DESTINATION ${CORVID_ROOM_HEADERS}/replay)
 install(FILES core/clock.h core/log.h DESTINATION ${CORVID_ROOM_HEADERS}/core)
 target_include_directories(corvid_core INTERFACE $<INSTALL_INTERFACE:${CORVID_ROOM_HEADERS}>)
@@ -29,6 +31,9 @@ install(FILES ${PROJECT_BINARY_DIR}/corvidConfig.cmake ${PROJECT_BINARY_DIR}/cor
         DESTINATION ${CORVID_PACKAGE_DIR})
 
 install(TARGETS corvid_program RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+configure_file(packaging/corvid.service.in ${PROJECT_BINARY_DIR}/corvid.service @ONLY)
+install(FILES ${PROJECT_BINARY_DIR}/corvid.service DESTINATION lib/systemd/system)
+install(FILES packaging/live.conf DESTINATION ${CMAKE_INSTALL_DOCDIR}/examples)
 install(FILES README.md LICENSE NOTICE CHANGELOG.md DESTINATION ${CMAKE_INSTALL_DOCDIR})
 
 # A consumer's project, built against an installed copy.

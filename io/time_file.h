@@ -15,7 +15,7 @@ namespace corvid {
 struct TimeLine {
   std::int64_t frame = 0;     ///< number of the frame in the video, from 0
   std::int64_t time_ns = 0;   ///< capture time
-  std::int64_t sequence = 0;  ///< the camera's own number
+  std::int64_t sequence = 0;  ///< the number that the source gave it
   /// When a player shows the frame, by the container: finds the frame where others before it are
   /// damaged. Nothing: the frame's number has to do.
   std::optional<double> shown_ms;

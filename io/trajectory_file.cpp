@@ -169,9 +169,8 @@ Expected<Trajectory> read_trajectory(const std::string& path,
 void append_tum_line(std::string& text, const StampedPose& stamped) {
   // Whole numbers, because a double loses the last digits of today's times.
   const bool negative = stamped.time_ns < 0;
-  const std::uint64_t ns = negative
-                               ? std::uint64_t{0} - static_cast<std::uint64_t>(stamped.time_ns)
-                               : static_cast<std::uint64_t>(stamped.time_ns);
+  const std::uint64_t ns = negative ? std::uint64_t{0} - static_cast<std::uint64_t>(stamped.time_ns)
+                                    : static_cast<std::uint64_t>(stamped.time_ns);
   const Eigen::Vector3d& t = stamped.T_world_camera.translation();
   const Eigen::Quaterniond& q = stamped.T_world_camera.rotation();
   fmt::format_to(std::back_inserter(text),

@@ -188,7 +188,7 @@ std::optional<Error> AsyncRecorder::failure() const {
 
 Expected<FramePtr> RecordedSource::next(const std::stop_token& stop) {
   auto frame = source_->next(stop);
-  if (!frame || !*frame) return frame;
+  if (!frame || !*frame || !(*frame)->blind.empty()) return frame;
   if (source_->info().paced) {
     recorder_.push(*frame);
   } else {

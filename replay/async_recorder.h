@@ -82,7 +82,7 @@ class AsyncRecorder {
   std::vector<std::jthread> threads_;
 };
 
-/// Hands every frame of a source to a recorder on the way to whoever asks for it. From a source
+/// Hands every frame of a source (but no blind ones) to a recorder on the way to whoever asks for it. From a source
 /// that is paced (a camera) it never waits for the disk; from others, nothing is dropped.
 class RecordedSource final : public FrameSource {
  public:

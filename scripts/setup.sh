@@ -13,8 +13,10 @@ packages_build=(
   libcamera-dev libcamera-ipa libavformat-dev libavcodec-dev libavutil-dev libsystemd-dev
 )
 packages_test=(libgtest-dev libgmock-dev libbenchmark-dev draco clang-format)
+# An npm from elsewhere will do, and does not go together with Debian's.
+command -v npm >/dev/null || packages_test+=(nodejs npm)
 # Tests that find these run more checks; without them they say that they were skipped.
-packages_extra=(colmap nodejs npm)
+packages_extra=(colmap)
 # With these the camera tests (label vm) run in an emulated guest; without, they are skipped and say so.
 packages_vm=(qemu-system-x86 busybox-static kmod udev make gcc-12 xz-utils libelf1)
 

@@ -120,6 +120,9 @@ std::string read_option(const std::string& key, const std::string& text, Mavlink
   } else if (key == "rate") {
     if (!value || *value < 0 || *value > 200) return "rate: a number from 0 to 200 [Hz]";
     node.odometry.rate_hz = *value;
+  } else if (key == "frame") {
+    if (text != "frd" && text != "ned") return fmt::format("frame: '{}' is not frd or ned", text);
+    node.odometry.frame = text == "frd" ? mavlink::Frame::local_frd : mavlink::Frame::local_ned;
   } else if (key == "gps_delay") {
     if (!value || *value < 0 || *value > 5) return "gps_delay: a number from 0 to 5 [s]";
     node.gps_delay_s = *value;
@@ -132,7 +135,7 @@ std::string read_option(const std::string& key, const std::string& text, Mavlink
     if (!id || *id < 1 || *id > 255) return "component: a whole number from 1 to 255";
     node.station.component = static_cast<std::uint8_t>(*id);
   } else {
-    const std::array<std::string, 6> keys{"mount",     "lever",  "rate",
+    const std::array<std::string, 7> keys{"mount",     "lever",  "rate",     "frame",
                                           "gps_delay", "system", "component"};
     return fmt::format("unknown option '{}' {}", key, nearest_hint(key, keys));
   }
@@ -148,6 +151,8 @@ const char* const kMavlinkHelp =
     "  mount=forward|down|ROLL/PITCH/YAW  how the camera looks [deg, from forward]\n"
     "  lever=FORWARD/RIGHT/DOWN           where it is on the vehicle [m]\n"
     "  rate=HZ         least rate of ODOMETRY; gaps are filled by extrapolation (30; 0: never)\n"
+    "  frame=frd|ned   how ODOMETRY calls its frame (frd; ned is for PX4 with a compass or GPS "
+    "yaw)\n"
     "  gps_delay=S     from a position to the autopilot's message (0.11)\n"
     "  system=ID       the vehicle's MAVLink id (1); component=ID ours (197)";
 

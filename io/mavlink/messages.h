@@ -93,6 +93,8 @@ struct StatusText {
 /// A symmetric 6x6 matrix's upper triangle, row by row. A NaN in front: unknown.
 using Covariance21 = std::array<float, 21>;
 
+enum class Frame : std::uint8_t { local_ned = 1, body_frd = 12, local_frd = 20 };
+
 struct Odometry {
   static constexpr std::uint32_t kId = 331;
   static constexpr std::uint8_t kCrcExtra = 91;
@@ -103,8 +105,8 @@ struct Odometry {
   float vx = 0, vy = 0, vz = 0;                           ///< [m/s] in child_frame_id
   float rollspeed = 0, pitchspeed = 0, yawspeed = 0;      ///< [rad/s] about the body's axes
   Covariance21 pose_covariance{}, velocity_covariance{};  ///< of (x y z, roll pitch yaw)
-  std::uint8_t frame_id = 20;                             ///< MAV_FRAME_LOCAL_FRD
-  std::uint8_t child_frame_id = 12;                       ///< MAV_FRAME_BODY_FRD
+  Frame frame_id = Frame::local_frd;
+  Frame child_frame_id = Frame::body_frd;
   std::uint8_t reset_counter = 0;
   std::uint8_t estimator_type = 2;  ///< MAV_ESTIMATOR_TYPE_VISION
   std::int8_t quality = 0;          ///< [%] 0 unknown, 1 worst, 100 best; an extension

@@ -202,6 +202,7 @@ Odometry OdometryStream::message(double beyond_s) const {
   twist.bottomRightCorner<3, 3>() = angular_changes_ / 3;
   m.velocity_covariance =
       changes_ >= kLeastChanges && twist.allFinite() ? upper_triangle(twist) : unknown_covariance();
+  m.frame_id = options_.frame;
   m.reset_counter = static_cast<std::uint8_t>((now.resets + replacements_) % 256);
   m.quality = now.state == TrackingState::tracking ? 100 : 30;
   return m;

@@ -14,6 +14,10 @@ namespace corvid {
 struct OdometryOptions {
   /// Where the camera's poses come less often, extrapolated ones fill the gaps; 0: none do.
   double rate_hz = 30;
+  /// How the frame north, east, down is called. ArduPilot listens to local_frd only, which PX4
+  /// turns by how its attitude differs from ours unless it takes the yaw, too; to PX4 local_ned is
+  /// the same as its own.
+  mavlink::Frame frame = mavlink::Frame::local_frd;
   Pose T_body_camera{camera_mount(0, 0, 0), Eigen::Vector3d::Zero()};  ///< [m]
 };
 

@@ -10,7 +10,8 @@
 
 #include <chrono>
 #include <cstdlib>
-#include <map>
+#include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <thread>
@@ -18,7 +19,9 @@
 
 #include "apps/program_fixture.h"
 #include "io/source.h"
+#include "replay/recording.h"
 #include "replay/synthetic_flight.h"
+#include "scenes/temporary_folder.h"
 
 namespace corvid {
 namespace {
@@ -26,24 +29,21 @@ namespace {
 using namespace std::chrono_literals;
 using testing::HasSubstr;
 
-constexpr const char* kFlight =
-    "synthetic:duration=100,rate=20,width=128,height=96,colour=false,path=survey,seed=5";
-
-/// The flight's frames, each rendered once.
-const Frame& flight_frame(std::size_t number) {
-  static const SyntheticFlight flight([] {
+/// A flight whose frames are rendered once for all that is recorded of them here.
+const std::vector<FramePtr>& flight_frames() {
+  static const std::vector<FramePtr> frames = [] {
     FlightOptions options;
-    options.duration_s = 100;
+    options.duration_s = 10;
     options.width_px = 128;
     options.height_px = 96;
     options.colour = false;
     options.seed = 5;
-    return options;
-  }());
-  static std::map<std::size_t, FramePtr> frames;
-  FramePtr& frame = frames[number];
-  if (!frame) frame = flight.render(number);
-  return *frame;
+    SyntheticFlight flight(options);
+    std::vector<FramePtr> all;
+    while (FramePtr frame = flight.next().value()) all.push_back(std::move(frame));
+    return all;
+  }();
+  return frames;
 }
 
 /// One `corvid ARGUMENTS...` in a process of its own, silent.
@@ -96,6 +96,37 @@ constexpr Form kForms[] = {{"flight", "flight/mav0/cam0/data.csv", true},
 
 class RecordTest : public ProgramTest {
  protected:
+  /// The flight three times over, as a source that starts at once.
+  RecordTest() {
+    SourceInfo info;
+    Camera camera;
+    camera.width_px = 128;
+    camera.height_px = 96;
+    camera.fx_px = camera.fy_px = 76;
+    camera.cx_px = 63.5;
+    camera.cy_px = 47.5;
+    info.camera = std::make_shared<const Camera>(camera);
+    info.rate_hz = 20;
+    auto recording = open_recording(source_.path() / "source.mkv", std::nullopt, info);
+    EXPECT_TRUE(recording.has_value());
+    for (std::size_t i = 0; i < kFrames; ++i) {
+      const auto written = (*recording)->write(source_frame(i));
+      EXPECT_TRUE(written.has_value()) << written.error().to_string();
+    }
+    EXPECT_TRUE((*recording)->finish().has_value());
+  }
+  static constexpr std::size_t kFrames = 600;
+  static Frame source_frame(std::size_t number) {
+    Frame frame = *flight_frames()[number % flight_frames().size()];
+    frame.time_ns = 1'403'638'127'245'096'960 + static_cast<std::int64_t>(number) * 50'000'001;
+    return frame;
+  }
+  const TemporaryFolder source_;
+  [[nodiscard]] std::string source() const { return source_.path() / "source.mkv"; }
+  void begin_anew() const {
+    std::filesystem::remove_all(folder_);
+    std::filesystem::create_directories(folder_);
+  }
   /// Whole lines of the list but for the one that names the columns.
   [[nodiscard]] std::size_t lines(const char* list) const {
     const std::string text = read(path(list));
@@ -113,7 +144,7 @@ class RecordTest : public ProgramTest {
     EXPECT_EQ((*source)->info().frames, listed);
     std::size_t count = 0;
     for (auto frame = (*source)->next(); frame && *frame; frame = (*source)->next(), ++count) {
-      const Frame& truth = flight_frame(count);
+      const Frame truth = source_frame(count);
       ASSERT_EQ((*frame)->time_ns, truth.time_ns) << form.name;
       if (form.lossless) {
         ASSERT_EQ((*frame)->grey, truth.grey) << form.name << " frame " << count;
@@ -135,12 +166,11 @@ TEST_F(RecordTest, KilledAtAnyMomentWhatIsListedIsWhole) {
   for (const Form& form : kForms) {
     std::size_t most = 0;
     for (int kill = 0; kill < 20; ++kill) {
-      std::filesystem::remove_all(folder_);
-      std::filesystem::create_directories(folder_);
-      Process process({"record", kFlight, "--out", path(form.name), "--threads", "2"});
-      wait_for_lines(form.list, 1 + random() % 30);
+      begin_anew();
+      Process process({"record", source(), "--out", path(form.name), "--threads", "2"});
+      wait_for_lines(form.list, 1 + random() % 300);
       if (HasFatalFailure()) return;
-      std::this_thread::sleep_for(std::chrono::microseconds(random() % 10'000));
+      std::this_thread::sleep_for(std::chrono::microseconds(random() % 3'000));
       ASSERT_EQ(process.end(SIGKILL), -SIGKILL);
       const std::size_t listed = lines(form.list);
       most = std::max(most, listed);
@@ -153,21 +183,25 @@ TEST_F(RecordTest, KilledAtAnyMomentWhatIsListedIsWhole) {
 }
 
 TEST_F(RecordTest, ASignalCompletesTheRecording) {
+  const std::string endless = "synthetic:duration=3600,width=64,height=48,colour=false";
   for (const Form& form : kForms) {
-    std::filesystem::remove_all(folder_);
-    std::filesystem::create_directories(folder_);
-    Process process({"record", kFlight, "--out", path(form.name)});
+    begin_anew();
+    Process process({"record", endless, "--out", path(form.name)});
     wait_for_lines(form.list, 3);
     EXPECT_EQ(process.end(SIGTERM), static_cast<int>(ExitCode::interrupted));
-    check(form, lines(form.list), 0);
+    auto source = open_source(path(form.name));
+    ASSERT_TRUE(source.has_value()) << source.error().to_string();
+    std::size_t count = 0;
+    for (auto frame = (*source)->next(); frame && *frame; frame = (*source)->next()) ++count;
+    EXPECT_EQ(count, lines(form.list));
+    EXPECT_EQ((*source)->counts().skipped, 0u);
   }
 }
 
 TEST_F(RecordTest, AFileThatMayNotGrowEndsItWithWords) {
   for (const Form& form : {kForms[1], kForms[2]}) {
-    std::filesystem::remove_all(folder_);
-    std::filesystem::create_directories(folder_);
-    Process process({"record", kFlight, "--out", path(form.name)}, 150'000);
+    begin_anew();
+    Process process({"record", source(), "--out", path(form.name)}, 150'000);
     EXPECT_EQ(process.end(0), static_cast<int>(ExitCode::failure));
     EXPECT_GT(lines(form.list), 3u);
     check(form, lines(form.list), 1);
@@ -182,7 +216,7 @@ TEST_F(RecordTest, AFullDiskEndsItWithWordsAndAReadableRecording) {
   for (const Form& form : kForms) {
     const std::string out = std::string("disk/") + form.name,
                       list = std::string("disk/") + form.list;
-    const Ran ran = corvid_run({"record", kFlight, "--out", path(out)});
+    const Ran ran = corvid_run({"record", source(), "--out", path(out)});
     EXPECT_EQ(ran.code, static_cast<int>(ExitCode::failure)) << form.name << ran.err;
     EXPECT_THAT(ran.err, HasSubstr("No space left on device"));
     EXPECT_THAT(ran.err, HasSubstr("free some space"));

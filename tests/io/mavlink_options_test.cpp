@@ -41,12 +41,14 @@ TEST(MavlinkOptions, ReadsTheKindsOfLinks) {
 
 TEST(MavlinkOptions, ReadsOptions) {
   const auto o = mavlink_options(
-      "udpin:14540,mount=down,lever=0.1/-0.2/0.05,rate=0,gps_delay=0.2,system=7,component=198");
+      "udpin:14540,frame=ned,mount=down,lever=0.1/-0.2/"
+      "0.05,rate=0,gps_delay=0.2,system=7,component=198");
   ASSERT_TRUE(o) << o.error().to_string();
   const Pose& mount = o->node.odometry.T_body_camera;
   EXPECT_TRUE((mount.rotation() * Eigen::Vector3d::UnitZ()).isApprox(Eigen::Vector3d(0, 0, 1)));
   EXPECT_TRUE(mount.translation().isApprox(Eigen::Vector3d(0.1, -0.2, 0.05)));
   EXPECT_EQ(o->node.odometry.rate_hz, 0);
+  EXPECT_EQ(o->node.odometry.frame, mavlink::Frame::local_ned);
   EXPECT_EQ(o->node.gps_delay_s, 0.2);
   EXPECT_EQ(o->node.station, (mavlink::Station{7, 198}));
 
@@ -84,7 +86,8 @@ TEST(MavlinkOptions, SaysWhatIsWrong) {
                            "udpin:1,system=0",
                            "udpin:1,system=256",
                            "udpin:1,component=x",
-                           "udpin:1,gps_delay=9"}) {
+                           "udpin:1,gps_delay=9",
+                           "udpin:1,frame=enu"}) {
     const auto o = mavlink_options(spec);
     ASSERT_FALSE(o) << spec;
     EXPECT_EQ(o.error().code, ErrorCode::invalid_argument) << spec;
