@@ -12,7 +12,7 @@ packages_build=(
   nlohmann-json3-dev libcli11-dev libyaml-cpp-dev libexif-dev libgeographiclib-dev
   libcamera-dev libcamera-ipa libavformat-dev libavcodec-dev libavutil-dev libsystemd-dev
 )
-packages_test=(libgtest-dev libgmock-dev libbenchmark-dev draco clang-format)
+packages_test=(libgtest-dev libgmock-dev libbenchmark-dev libjpeg-dev draco clang-format)
 # An npm from elsewhere will do, and does not go together with Debian's.
 command -v npm >/dev/null || packages_test+=(nodejs npm)
 # Tests that find these run more checks; without them they say that they were skipped.

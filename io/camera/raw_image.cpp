@@ -10,145 +10,15 @@
 #include <string_view>
 #include <utility>
 
+#include "io/camera/raw_format.h"
 #include "io/jpeg_header.h"
 
 namespace corvid {
 namespace {
 
-constexpr std::uint32_t fourcc(const char (&name)[5]) {
-  std::uint32_t code = 0;
-  for (int i = 0; i < 4; ++i) {
-    code |= static_cast<std::uint32_t>(static_cast<unsigned char>(name[i])) << (8 * i);
-  }
-  return code;
-}
-
-/// How a format lays a picture out.
-enum class Kind { grey, bayer, yuv422, yuv420, rgb, jpeg };
-/// How a grey or Bayer sample is stored.
-enum class Sample { bits8, bits10, bits12, bits14, bits16, packed10, packed12 };
-
-/// What is known of a format. The OpenCV codes are those of the conversion; -1 where there is none.
-struct Format {
-  std::uint32_t fourcc = 0;
-  Kind kind = Kind::grey;
-  int rank = 0;
-  Sample sample = Sample::bits8;  ///< grey, bayer
-  int to_grey = -1;               ///< bayer, rgb: conversion; yuv422: the channel of the luma
-  int to_rgb = -1;
-  int channels = 1;    ///< rgb: bytes of a pixel
-  int planes = 1;      ///< yuv420: how many the luma and chroma lie in
-  bool split = false;  ///< yuv420: U and V apart
-  bool v_first = false;
-};
-
-constexpr Format grey(std::uint32_t code, int rank, Sample sample) {
-  return {.fourcc = code, .kind = Kind::grey, .rank = rank, .sample = sample};
-}
-
-constexpr Format yuv422(std::uint32_t code, int luma, int to_rgb) {
-  return {.fourcc = code, .kind = Kind::yuv422, .rank = 2, .to_grey = luma, .to_rgb = to_rgb};
-}
-
-constexpr Format yuv420(std::uint32_t code, int planes, bool split, bool v_first) {
-  return {.fourcc = code,
-          .kind = Kind::yuv420,
-          .rank = 1,
-          .planes = planes,
-          .split = split,
-          .v_first = v_first};
-}
-
-constexpr Format rgb(std::uint32_t code, int channels, int to_grey, int to_rgb) {
-  return {.fourcc = code,
-          .kind = Kind::rgb,
-          .rank = 5,
-          .to_grey = to_grey,
-          .to_rgb = to_rgb,
-          .channels = channels};
-}
-
-/// OpenCV names a mosaic by the second row's second and third sample: RGGB is its BayerBG.
-constexpr std::pair<int, int> kBggr = {cv::COLOR_BayerRG2GRAY, cv::COLOR_BayerRG2RGB};
-constexpr std::pair<int, int> kGbrg = {cv::COLOR_BayerGR2GRAY, cv::COLOR_BayerGR2RGB};
-constexpr std::pair<int, int> kGrbg = {cv::COLOR_BayerGB2GRAY, cv::COLOR_BayerGB2RGB};
-constexpr std::pair<int, int> kRggb = {cv::COLOR_BayerBG2GRAY, cv::COLOR_BayerBG2RGB};
-
-constexpr Format bayer(std::uint32_t code, std::pair<int, int> order, Sample sample) {
-  return {.fourcc = code,
-          .kind = Kind::bayer,
-          .rank = 4,
-          .sample = sample,
-          .to_grey = order.first,
-          .to_rgb = order.second};
-}
-
-constexpr std::array kFormats = {
-    grey(fourcc("GREY"), 0, Sample::bits8),
-    grey(fourcc("Y10 "), 3, Sample::bits10),
-    grey(fourcc("Y12 "), 3, Sample::bits12),
-    grey(fourcc("Y14 "), 3, Sample::bits14),
-    grey(fourcc("Y16 "), 3, Sample::bits16),
-    grey(fourcc("Y10P"), 3, Sample::packed10),
-    grey(fourcc("Y12P"), 3, Sample::packed12),
-    yuv422(fourcc("YUYV"), 0, cv::COLOR_YUV2RGB_YUYV),
-    yuv422(fourcc("YVYU"), 0, cv::COLOR_YUV2RGB_YVYU),
-    yuv422(fourcc("UYVY"), 1, cv::COLOR_YUV2RGB_UYVY),
-    Format{.fourcc = fourcc("VYUY"),
-           .kind = Kind::yuv422,
-           .rank = 2,
-           .to_grey = 1,
-           .to_rgb = cv::COLOR_YUV2RGB_UYVY,
-           .v_first = true},
-    yuv420(fourcc("NV12"), 1, false, false),
-    yuv420(fourcc("NV21"), 1, false, true),
-    yuv420(fourcc("NM12"), 2, false, false),
-    yuv420(fourcc("NM21"), 2, false, true),
-    yuv420(fourcc("YU12"), 1, true, false),
-    yuv420(fourcc("YV12"), 1, true, true),
-    yuv420(fourcc("YM12"), 3, true, false),
-    yuv420(fourcc("YM21"), 3, true, true),
-    rgb(fourcc("RGB3"), 3, cv::COLOR_RGB2GRAY, -1),
-    rgb(fourcc("BGR3"), 3, cv::COLOR_BGR2GRAY, cv::COLOR_BGR2RGB),
-    rgb(fourcc("XR24"), 4, cv::COLOR_BGRA2GRAY, cv::COLOR_BGRA2RGB),
-    rgb(fourcc("XB24"), 4, cv::COLOR_RGBA2GRAY, cv::COLOR_RGBA2RGB),
-    bayer(fourcc("BA81"), kBggr, Sample::bits8),
-    bayer(fourcc("GBRG"), kGbrg, Sample::bits8),
-    bayer(fourcc("GRBG"), kGrbg, Sample::bits8),
-    bayer(fourcc("RGGB"), kRggb, Sample::bits8),
-    bayer(fourcc("BG10"), kBggr, Sample::bits10),
-    bayer(fourcc("GB10"), kGbrg, Sample::bits10),
-    bayer(fourcc("BA10"), kGrbg, Sample::bits10),
-    bayer(fourcc("RG10"), kRggb, Sample::bits10),
-    bayer(fourcc("pBAA"), kBggr, Sample::packed10),
-    bayer(fourcc("pGAA"), kGbrg, Sample::packed10),
-    bayer(fourcc("pgAA"), kGrbg, Sample::packed10),
-    bayer(fourcc("pRAA"), kRggb, Sample::packed10),
-    bayer(fourcc("BG12"), kBggr, Sample::bits12),
-    bayer(fourcc("GB12"), kGbrg, Sample::bits12),
-    bayer(fourcc("BA12"), kGrbg, Sample::bits12),
-    bayer(fourcc("RG12"), kRggb, Sample::bits12),
-    bayer(fourcc("pBCC"), kBggr, Sample::packed12),
-    bayer(fourcc("pGCC"), kGbrg, Sample::packed12),
-    bayer(fourcc("pgCC"), kGrbg, Sample::packed12),
-    bayer(fourcc("pRCC"), kRggb, Sample::packed12),
-    bayer(fourcc("BYR2"), kBggr, Sample::bits16),
-    bayer(fourcc("GB16"), kGbrg, Sample::bits16),
-    bayer(fourcc("GR16"), kGrbg, Sample::bits16),
-    bayer(fourcc("RG16"), kRggb, Sample::bits16),
-    Format{.fourcc = fourcc("MJPG"), .kind = Kind::jpeg, .rank = 6},
-    Format{.fourcc = fourcc("JPEG"), .kind = Kind::jpeg, .rank = 6},
-};
-
-const Format* find_format(std::uint32_t code) {
-  const auto* at = std::find_if(kFormats.begin(), kFormats.end(),
-                                [code](const Format& format) { return format.fourcc == code; });
-  return at == kFormats.end() ? nullptr : at;
-}
-
 /// The picture that is being converted.
 struct Raw {
-  const Format& format;
+  const RawFormat& format;
   int width_px, height_px;
   std::span<const RawPlane> planes;
   bool colour;
@@ -246,19 +116,19 @@ Expected<GreyImage> samples_of(const Raw& raw) {
                 [&](const cv::Mat& in, cv::Mat& out) { take_packed(in, group, out); });
   };
   switch (raw.format.sample) {
-    case Sample::bits10:
+    case RawSample::bits10:
       return words(10);
-    case Sample::bits12:
+    case RawSample::bits12:
       return words(12);
-    case Sample::bits14:
+    case RawSample::bits14:
       return words(14);
-    case Sample::bits16:
+    case RawSample::bits16:
       return words(16);
-    case Sample::packed10:
+    case RawSample::packed10:
       return packed(4);
-    case Sample::packed12:
+    case RawSample::packed12:
       return packed(2);
-    case Sample::bits8:
+    case RawSample::bits8:
       break;
   }
   return with(rows(w, CV_8UC1), [](const cv::Mat& in, cv::Mat& out) { in.copyTo(out); });
@@ -397,17 +267,17 @@ Expected<Converted> convert_jpeg(const Raw& raw) {
 
 Expected<Converted> convert(const Raw& raw) {
   switch (raw.format.kind) {
-    case Kind::bayer:
+    case RawKind::bayer:
       return convert_bayer(raw);
-    case Kind::yuv422:
+    case RawKind::yuv422:
       return convert_yuv422(raw);
-    case Kind::yuv420:
+    case RawKind::yuv420:
       return convert_yuv420(raw);
-    case Kind::rgb:
+    case RawKind::rgb:
       return convert_rgb(raw);
-    case Kind::jpeg:
+    case RawKind::jpeg:
       return convert_jpeg(raw);
-    case Kind::grey:
+    case RawKind::grey:
       break;
   }
   return convert_grey(raw);
@@ -415,38 +285,9 @@ Expected<Converted> convert(const Raw& raw) {
 
 }  // namespace
 
-std::string fourcc_name(std::uint32_t code) {
-  std::string name;
-  for (int i = 0; i < 4; ++i) {
-    const auto byte = static_cast<char>(code >> (8 * i) & 0xFF);
-    name += byte >= ' ' && byte <= '~' ? byte : '?';  // bit 31 marks big-endian variants
-  }
-  return name;
-}
-
-std::uint32_t fourcc_of(const std::string& name) {
-  if (name.empty() || name.size() > 4) return 0;
-  std::uint32_t code = 0;
-  for (std::size_t i = 0; i < 4; ++i) {
-    const char byte = i < name.size() ? name[i] : ' ';  // "Y16" is "Y16 "
-    code |= static_cast<std::uint32_t>(static_cast<unsigned char>(byte)) << (8 * i);
-  }
-  return code;
-}
-
-int format_rank(std::uint32_t code) {
-  const Format* format = find_format(code);
-  return format ? format->rank : -1;
-}
-
-bool has_colour(std::uint32_t code) {
-  const Format* format = find_format(code);
-  return format && format->kind != Kind::grey;
-}
-
 Expected<void> convert_raw(std::uint32_t code, int width_px, int height_px,
                            std::span<const RawPlane> planes, bool colour, Capture& out) {
-  const Format* format = find_format(code);
+  const RawFormat* format = find_raw_format(code);
   if (!format) {
     return fail(ErrorCode::unsupported,
                 fmt::format("pictures in the format {} are not understood", fourcc_name(code)));

@@ -10,6 +10,7 @@
 #include <span>
 #include <utility>
 
+#include "io/camera/frame_count.h"
 #include "io/camera/raw_image.h"
 #include "io/camera/v4l2_camera.h"
 #include "io/camera/v4l2_device.h"
@@ -20,7 +21,6 @@ namespace {
 
 /// Enough for a pause of a few pictures; a driver may give fewer.
 constexpr std::uint32_t kBuffers = 8;
-constexpr std::size_t kMaxMessages = 100;
 /// How long a wait lasts at most before it looks whether it is asked to stop.
 constexpr int kWait_ms = 50;
 
@@ -81,18 +81,17 @@ class V4l2Stream final : public CameraStream {
   [[nodiscard]] const StreamSettings& settings() const override { return settings_; }
   [[nodiscard]] Expected<std::optional<Capture>> next(std::chrono::milliseconds timeout,
                                                       const std::stop_token& stop) override;
-  [[nodiscard]] StreamCounts counts() const override { return counts_; }
+  [[nodiscard]] StreamCounts counts() const override { return counts_.counts(); }
 
  private:
   [[nodiscard]] Expected<void> map_buffers();
   void note_times(const v4l2_buffer& buffer);
-  [[nodiscard]] tl::unexpected<Error> broken_off(int error, const std::string& what) const {
+  [[nodiscard]] tl::unexpected<Error> over(int error, const std::string& what) const {
     return tl::unexpected(device_.fault(error, what));
   }
   [[nodiscard]] Expected<void> take_events() const;
   [[nodiscard]] Expected<std::optional<Capture>> take_buffer(bool in_error);
   [[nodiscard]] Expected<Capture> convert(const Buffer& buffer) const;
-  [[nodiscard]] std::uint64_t count(std::uint32_t sequence);
 
   V4l2Device device_;
   bool colour_;
@@ -102,9 +101,7 @@ class V4l2Stream final : public CameraStream {
   std::vector<std::vector<MappedPlane>> buffers_;
   bool streaming_ = false;
   bool arrival_times_ = false;  ///< the driver's are not of CLOCK_MONOTONIC
-  std::optional<std::uint32_t> last_sequence_;
-  std::uint64_t sequence_ = 0;
-  StreamCounts counts_;
+  FrameCount counts_;
 };
 
 Expected<void> V4l2Stream::start(const CameraRequest& request) {
@@ -120,11 +117,10 @@ Expected<void> V4l2Stream::start(const CameraRequest& request) {
   std::ignore = device_.call(VIDIOC_SUBSCRIBE_EVENT, &change);  // most cameras have none
   int type = static_cast<int>(device_.buffer_type());
   if (const int error = device_.call(VIDIOC_STREAMON, &type)) {
-    return broken_off(error,
-                      error == ENOSPC || error == EPIPE
-                          ? "the camera cannot start: its bus has no room left for this size "
-                            "and rate (another port, or a smaller mode, may help)"
-                          : "the camera cannot start");
+    return over(error, error == ENOSPC || error == EPIPE
+                           ? "the camera cannot start: its bus has no room left for this size "
+                             "and rate (another port, or a smaller mode, may help)"
+                           : "the camera cannot start");
   }
   streaming_ = true;
   return {};
@@ -136,12 +132,12 @@ Expected<void> V4l2Stream::map_buffers() {
   wanted.type = device_.buffer_type();
   wanted.memory = V4L2_MEMORY_MMAP;
   if (const int error = device_.call(VIDIOC_REQBUFS, &wanted)) {
-    return broken_off(error, "the camera gives no buffers");
+    return over(error, "the camera gives no buffers");
   }
   for (std::uint32_t i = 0; i < wanted.count; ++i) {
     Buffer buffer(device_, i);
     if (const int error = device_.call(VIDIOC_QUERYBUF, &buffer.head)) {
-      return broken_off(error, fmt::format("buffer {} cannot be had", i));
+      return over(error, fmt::format("buffer {} cannot be had", i));
     }
     std::vector<MappedPlane>& planes = buffers_.emplace_back();
     if (device_.multiplanar()) {
@@ -152,14 +148,14 @@ Expected<void> V4l2Stream::map_buffers() {
       planes.emplace_back(device_.fd(), buffer.head.length, buffer.head.m.offset);
     }
     if (!std::all_of(planes.begin(), planes.end(), [](const auto& p) { return p.mapped(); })) {
-      return broken_off(errno, fmt::format("buffer {} cannot be mapped", i));
+      return over(errno, fmt::format("buffer {} cannot be mapped", i));
     }
     if (i == 0) note_times(buffer.head);
     if (const int error = device_.call(VIDIOC_QBUF, &buffer.head)) {
-      return broken_off(error, fmt::format("buffer {} cannot be queued", i));
+      return over(error, fmt::format("buffer {} cannot be queued", i));
     }
   }
-  if (buffers_.empty()) return broken_off(ENOMEM, "the camera gives no buffers");
+  if (buffers_.empty()) return over(ENOMEM, "the camera gives no buffers");
   return {};
 }
 
@@ -181,7 +177,7 @@ Expected<std::optional<Capture>> V4l2Stream::next(std::chrono::milliseconds time
     pollfd ready{.fd = device_.fd(), .events = POLLIN | POLLPRI, .revents = 0};
     const int wait_ms = static_cast<int>(std::clamp<std::int64_t>(left_ms, 0, kWait_ms));
     const int count = ::poll(&ready, 1, wait_ms);
-    if (count < 0 && errno != EINTR) return broken_off(errno, "the camera cannot be waited for");
+    if (count < 0 && errno != EINTR) return over(errno, "the camera cannot be waited for");
     if (count > 0) {
       if (auto ok = take_events(); !ok) return tl::unexpected(ok.error());
       auto capture = take_buffer((ready.revents & (POLLERR | POLLHUP | POLLNVAL)) != 0);
@@ -208,27 +204,21 @@ Expected<std::optional<Capture>> V4l2Stream::take_buffer(bool in_error) {
     if (error == EAGAIN && !in_error) return std::optional<Capture>();
     v4l2_capability capability{};
     const bool gone = device_.call(VIDIOC_QUERYCAP, &capability) == ENODEV;
-    return broken_off(gone              ? ENODEV
-                      : error == EAGAIN ? EIO
-                                        : error,
-                      "the camera's stream broke off");
+    return over(gone ? ENODEV : error == EAGAIN ? EIO : error, "the camera's stream broke off");
   }
   if (buffer.head.index >= buffers_.size()) {
-    return broken_off(EPROTO, "the driver gave a buffer that it does not have");
+    return over(EPROTO, "the driver gave a buffer that it does not have");
   }
   const std::int64_t arrival_ns = clock_.now_ns();
   const std::int64_t kernel_ns = std::int64_t{buffer.head.timestamp.tv_sec} * 1'000'000'000 +
                                  std::int64_t{buffer.head.timestamp.tv_usec} * 1'000;
-  const std::uint64_t sequence = count(buffer.head.sequence);
+  const std::uint64_t sequence = counts_.came(buffer.head.sequence);
   Expected<Capture> capture = convert(buffer);
   if (const int error = device_.call(VIDIOC_QBUF, &buffer.head)) {
-    return broken_off(error, "a buffer cannot be queued again");
+    return over(error, "a buffer cannot be queued again");
   }
   if (!capture) {
-    ++counts_.damaged;
-    if (counts_.messages.size() < kMaxMessages) {
-      counts_.messages.push_back(fmt::format("picture {}: {}", sequence, capture.error().what));
-    }
+    counts_.damaged(sequence, capture.error().what);
     return std::optional<Capture>();
   }
   capture->time_ns = arrival_times_ ? arrival_ns : kernel_ns;
@@ -254,22 +244,6 @@ Expected<Capture> V4l2Stream::convert(const Buffer& buffer) const {
                         std::span(planes).first(count), colour_, capture);
   if (!ok) return tl::unexpected(ok.error());
   return capture;
-}
-
-/// The driver's number, made to 64 bits. Numbers that were passed over count as lost; those that
-/// stand still or go back are a driver's that does not count, or began anew.
-std::uint64_t V4l2Stream::count(std::uint32_t sequence) {
-  constexpr std::uint32_t kBackwards = 1u << 31;
-  if (last_sequence_) {
-    const std::uint32_t step = sequence - *last_sequence_;
-    const bool counts = step > 0 && step < kBackwards;
-    sequence_ += counts ? step : 1;
-    counts_.lost += counts ? step - 1 : 0;
-  } else {
-    sequence_ = sequence;
-  }
-  last_sequence_ = sequence;
-  return sequence_;
 }
 
 }  // namespace

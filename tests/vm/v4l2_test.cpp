@@ -1,11 +1,10 @@
 #include <gmock/gmock.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <array>
-#include <map>
 #include <set>
 
-#include "io/camera/raw_image.h"
-#include "vm/numbered_picture.h"
 #include "vm/stream_checks.h"
 #include "vm/v4l2_controls.h"
 
@@ -189,6 +188,21 @@ TEST_F(V4l2, TwoCamerasAtOnceAndEachForOne) {
     EXPECT_EQ(taken(*a).grey.width(), 320);
     EXPECT_EQ(taken(*b).grey.width(), 640);
   }
+}
+
+TEST_F(V4l2, ACameraWithoutPermissionIsListedWithWhatToDo) {
+  constexpr uid_t kNobody = 65534;
+  ASSERT_EQ(::chmod(single().c_str(), 0600), 0);
+  ASSERT_EQ(::seteuid(kNobody), 0);
+  const auto listing = listing_of(single());
+  const Error error = refused(request_of(single()));
+  ASSERT_EQ(::seteuid(0), 0);
+  EXPECT_EQ(error.code, ErrorCode::io);
+  EXPECT_THAT(error.to_string(), HasSubstr("no permission to open the camera"));
+  EXPECT_THAT(error.hint, HasSubstr("group video"));
+  ASSERT_TRUE(listing);
+  EXPECT_THAT(listing->name, HasSubstr("vivid"));
+  EXPECT_EQ(listing->problem, error.to_string());
 }
 
 TEST_F(V4l2, ADeviceThatDisappearsEndsTheStream) {
