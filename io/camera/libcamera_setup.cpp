@@ -12,6 +12,7 @@
 #include <optional>
 
 #include "io/camera/libcamera_format.h"
+#include "io/camera/raw_image.h"
 
 namespace corvid {
 namespace {
@@ -147,6 +148,7 @@ Expected<LibcameraSetup> set_up_camera(libcamera::Camera& camera, const CameraRe
   setup.settings.width_px = static_cast<int>(stream.size.width);
   setup.settings.height_px = static_cast<int>(stream.size.height);
   setup.fourcc = v4l2_fourcc_of(setup.settings.format);
+  setup.settings.colour = request.colour && has_colour(setup.fourcc);
   setup.stride_bytes = stream.stride;
   if (setup.settings.format != chosen_name) {
     setup.settings.notes.push_back(fmt::format("The camera took format {} instead of {}.",

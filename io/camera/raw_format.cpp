@@ -149,4 +149,9 @@ int format_rank(std::uint32_t code) {
   return format ? format->rank : -1;
 }
 
+bool has_colour(std::uint32_t code) {
+  const RawFormat* format = find_raw_format(code);
+  return format && format->kind != RawKind::grey;
+}
+
 }  // namespace corvid

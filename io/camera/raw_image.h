@@ -23,6 +23,9 @@ struct RawPlane {
 /// How well a format suits grey pictures: 0 for the best, rising; negative if it is not understood.
 [[nodiscard]] int format_rank(std::uint32_t fourcc);
 
+/// Whether pictures of a format come with colour, when it is asked for.
+[[nodiscard]] bool has_colour(std::uint32_t fourcc);
+
 /// Makes the grey picture (and the colour one, if it is asked for and the format has it) of a
 /// Capture. 16-bit formats keep their upper 8 significant bits; luma of limited range is taken as
 /// it is; a Bayer mosaic becomes the interpolated grey.

@@ -159,6 +159,7 @@ Expected<V4l2Format> set_format(const V4l2Device& device, const CameraRequest& r
                 fmt::format("{} ({})", device.path(), device.name()));
   }
   settings.format = fourcc_name(*fourcc);
+  settings.colour = request.colour && has_colour(*fourcc);
   settings.width_px = picture.width_px();
   settings.height_px = picture.height_px();
   if (settings.width_px != width_px || settings.height_px != height_px) {

@@ -150,6 +150,7 @@ Y4mStream::Y4mStream(std::unique_ptr<PipeReader> pipe, Y4mHeader header,
                      const CameraRequest& request, Clock& clock)
     : pipe_(std::move(pipe)), header_(std::move(header)), colour_(request.colour), clock_(clock) {
   settings_.format = "y4m " + header_.colour;
+  settings_.colour = colour_ && !header_.colour.starts_with("mono");
   settings_.width_px = header_.width_px;
   settings_.height_px = header_.height_px;
   auto& notes = settings_.notes;

@@ -270,6 +270,7 @@ TEST(Y4mStream, ColourWhereItIsAskedFor) {
              std::string(2, '\x55') + std::string(2, '\xFF'));
   auto stream = open_y4m(standard_input(true), clock);
   ASSERT_TRUE(stream.has_value());
+  EXPECT_TRUE((*stream)->settings().colour);
   const auto capture = (*stream)->next(1000ms, {});
   ASSERT_TRUE(capture.has_value() && capture->has_value());
   ASSERT_EQ((*capture)->colour.width(), 4);
