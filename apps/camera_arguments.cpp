@@ -14,7 +14,8 @@
 namespace corvid {
 namespace {
 
-using Open = Expected<std::unique_ptr<CameraStream>> (*)(const CameraRequest&, Clock&);
+using Open = Expected<std::unique_ptr<CameraStream>> (*)(const CameraRequest&, Clock&,
+                                                         const std::stop_token&);
 
 struct Kind {
   std::string_view prefix, name;
@@ -22,10 +23,15 @@ struct Kind {
 };
 
 constexpr Kind kKinds[] = {
-    {"v4l2:", "V4L2 camera", open_v4l2},
-    {"libcamera:", "libcamera", open_libcamera},
-    {"y4m:", "YUV4MPEG2 stream",
-     [](const CameraRequest& request, Clock& clock) { return open_y4m(request, clock); }},
+    {"v4l2:", "V4L2 camera",
+     [](const CameraRequest& request, Clock& clock, const std::stop_token&) {
+       return open_v4l2(request, clock);
+     }},
+    {"libcamera:", "libcamera",
+     [](const CameraRequest& request, Clock& clock, const std::stop_token&) {
+       return open_libcamera(request, clock);
+     }},
+    {"y4m:", "YUV4MPEG2 stream", open_y4m},
 };
 
 // "640x480".
@@ -70,7 +76,8 @@ CLI::Option* CameraArguments::add_to(CLI::App& command) {
   return camera;
 }
 
-Expected<std::unique_ptr<CameraSource>> CameraArguments::open(Clock& clock) const {
+Expected<std::unique_ptr<CameraSource>> CameraArguments::open(Clock& clock,
+                                                              const std::stop_token& stop) const {
   CameraRequest wanted = request;
   if (auto size_ok = parse_size(size, wanted); !size_ok) return tl::unexpected(size_ok.error());
   if (exposure_ms) wanted.exposure_s = *exposure_ms * 1e-3;
@@ -80,7 +87,8 @@ Expected<std::unique_ptr<CameraSource>> CameraArguments::open(Clock& clock) cons
     wanted.device = spec.substr(kind.prefix.size());
     return CameraSource::open(
         std::string(kind.name), wanted.device,
-        [open = kind.open, wanted, &clock] { return open(wanted, clock); }, source, clock);
+        [open = kind.open, wanted, &clock, stop] { return open(wanted, clock, stop); }, source,
+        clock);
   }
   return fail(ErrorCode::invalid_argument, fmt::format("`{}` names no camera", spec), "--camera",
               spec.starts_with("/dev/")

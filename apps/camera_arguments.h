@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <optional>
+#include <stop_token>
 #include <string>
 
 #include "core/clock.h"
@@ -29,7 +30,9 @@ struct CameraArguments {
   /// command; returns --camera.
   CLI::Option* add_to(CLI::App& command);
   /// @param clock  outlives the source.
-  [[nodiscard]] Expected<std::unique_ptr<CameraSource>> open(Clock& clock) const;
+  /// @param stop   ends the wait for a stream that does not begin.
+  [[nodiscard]] Expected<std::unique_ptr<CameraSource>> open(Clock& clock,
+                                                             const std::stop_token& stop) const;
 };
 
 }  // namespace corvid

@@ -133,7 +133,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   if (!options) return tl::unexpected(options.error());
   plan.options = *options;
   Attached attached;
-  auto camera = arguments.camera.open(attached.clock);
+  auto camera = arguments.camera.open(attached.clock, signals.token());
   if (!camera) return tl::unexpected(camera.error());
   plan.source = std::move(*camera);
   if (auto done = attach(arguments, plan, attached); !done) return tl::unexpected(done.error());
