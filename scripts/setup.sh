@@ -10,7 +10,7 @@ packages_build=(
   ocl-icd-opencl-dev opencl-clhpp-headers pocl-opencl-icd
   libnanoflann-dev libdraco-dev libspdlog-dev libfmt-dev libexpected-dev
   nlohmann-json3-dev libcli11-dev libyaml-cpp-dev libexif-dev libgeographiclib-dev
-  libcamera-dev libcamera-ipa libavformat-dev libavcodec-dev libavutil-dev libsystemd-dev
+  libcamera-dev libcamera-ipa libavformat-dev libavcodec-dev libavutil-dev
 )
 packages_test=(libgtest-dev libgmock-dev libbenchmark-dev libjpeg-dev draco clang-format)
 # An npm from elsewhere will do, and does not go together with Debian's.
