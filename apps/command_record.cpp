@@ -10,6 +10,7 @@
 #include <thread>
 #include <utility>
 
+#include "apps/camera_arguments.h"
 #include "apps/command_list.h"
 #include "apps/option_checks.h"
 #include "apps/program_source.h"
@@ -25,6 +26,7 @@ namespace {
 
 struct Arguments {
   SourceArguments source;
+  CameraArguments camera;
   std::string out;
   std::optional<RecordingFormat> format;
   int buffer_mb = 1024, threads = 0;
@@ -86,9 +88,23 @@ Expected<void> record(RecordedSource& source, AsyncRecorder& recorder, Recording
   return finished ? result : finished;
 }
 
+Expected<std::unique_ptr<FrameSource>> open(const Arguments& arguments, Clock& clock,
+                                            const std::stop_token& stop) {
+  if (arguments.camera.spec.empty() && arguments.source.spec.empty()) {
+    return fail(ErrorCode::invalid_argument, "there is nothing to record", "",
+                "name a SOURCE or a --camera");
+  }
+  if (arguments.camera.spec.empty()) return arguments.source.open();
+  CameraArguments camera = arguments.camera;
+  camera.source.calibration_path = arguments.source.options.calibration_path;
+  camera.grey = !arguments.source.options.colour;
+  return camera.open(clock, stop);
+}
+
 Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const SignalGuard signals;
-  auto source = arguments.source.open();
+  SteadyClock clock;
+  auto source = open(arguments, clock, signals.token());
   if (!source) return tl::unexpected(source.error());
   const SourceInfo info = (*source)->info();
   log().info("recording {}", describe(info));
@@ -104,15 +120,19 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   RecordedSource recorded(std::move(*source), recorder);
   const auto result = record(recorded, recorder, line, signals.token());
   const RecorderCounts counts = recorder.counts();
-  context.out << fmt::format("{} frames, {} skipped, {} dropped: {}\n", counts.written,
-                             recorded.counts().skipped + counts.refused, counts.dropped,
+  const SourceCounts seen = recorded.counts();
+  context.out << fmt::format("{} frames, {} skipped, {} dropped{}: {}\n", counts.written,
+                             seen.skipped + counts.refused, counts.dropped,
+                             info.paced ? fmt::format(", {} lost by the camera, {} times away",
+                                                      seen.lost, seen.interruptions)
+                                        : "",
                              arguments.out);
   if (!result) return tl::unexpected(result.error());
   // A camera has no other end than being stopped.
   const bool endless = info.paced && !info.frames;
   if (signals.token().stop_requested()) return endless ? ExitCode::ok : ExitCode::interrupted;
   if (counts.written == 0) {
-    return fail(ErrorCode::corrupt, "not one frame could be read", arguments.source.spec,
+    return fail(ErrorCode::corrupt, "not one frame could be read", info.path,
                 "`corvid info --check` says why");
   }
   return ExitCode::ok;
@@ -125,6 +145,8 @@ Action add_record_command(CLI::App& app) {
   CLI::App* command = app.add_subcommand(
       "record", "Write a source as an ASL (EuRoC) folder or a video, with its capture times");
   arguments->source.add_to(*command);
+  CLI::Option* source = command->get_option("SOURCE")->required(false);
+  arguments->camera.add_to(*command)->excludes(source);
   command
       ->add_option(
           "--out", arguments->out,
@@ -159,6 +181,7 @@ other end.
 
 Examples:
   corvid record video.mp4 --calibration cam.yaml --out recording
+  corvid record --camera v4l2:/dev/video0 --size 640x480 --out flight.mkv
   corvid record synthetic:seed=3,duration=10 --out town.mkv
 )");
   return [arguments](Context& context) { return run(*arguments, context); };

@@ -55,7 +55,8 @@ Exit codes:
 class TalkGuard {
  public:
   TalkGuard(std::ostream& err, spdlog::level::level_enum level) {
-    auto logger = std::make_shared<spdlog::logger>("corvid", std::make_shared<Talk>(err));
+    auto logger = std::make_shared<spdlog::logger>(
+        "corvid", std::make_shared<Talk>(err, &err == &std::cerr && talks_to_journal()));
     logger->set_level(level);
     set_logger(std::move(logger));
   }

@@ -12,7 +12,8 @@ namespace corvid {
 /// that is redrawn in place. Thread-safe.
 class Talk final : public spdlog::sinks::base_sink<std::mutex> {
  public:
-  explicit Talk(std::ostream& err) : err_(err) {}
+  /// @param journal  lines begin with their priority, as systemd's journal reads it (sd-daemon(3)).
+  explicit Talk(std::ostream& err, bool journal = false) : err_(err), journal_(journal) {}
   /// Replaces the progress line; an empty one removes it.
   void progress(const std::string& line);
 
@@ -23,7 +24,11 @@ class Talk final : public spdlog::sinks::base_sink<std::mutex> {
  private:
   void erase_line();
   std::ostream& err_;
+  const bool journal_;
   std::string line_;
 };
+
+/// Whether the standard error is connected to systemd's journal ($JOURNAL_STREAM names it).
+[[nodiscard]] bool talks_to_journal();
 
 }  // namespace corvid

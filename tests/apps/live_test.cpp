@@ -248,6 +248,25 @@ TEST_F(LiveTest, AServiceManagerThatDoesNotReadHoldsUpNothing) {
   EXPECT_EQ(manager.take().front(), "READY=1");
 }
 
+TEST_F(LiveTest, TheJournalIsToldPriorities) {
+  const std::string log = path("log");
+  const pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    const int fd = open(log.c_str(), O_WRONLY | O_CREAT, 0600);
+    struct stat file {};
+    fstat(fd, &file);
+    dup2(fd, STDERR_FILENO);
+    setenv("JOURNAL_STREAM", fmt::format("{}:{}", file.st_dev, file.st_ino).c_str(), 1);
+    execl(CORVID_PROGRAM, "corvid", "live", "--camera", "v4l2:/dev/video987", nullptr);
+    _exit(127);
+  }
+  int status = 0;
+  waitpid(child, &status, 0);
+  EXPECT_EQ(WEXITSTATUS(status), 3);
+  EXPECT_THAT(read(log), testing::StartsWith("<3>")) << read(log);
+}
+
 TEST_F(LiveTest, AfterAKillWhatWasWrittenIsReadable) {
   const std::string file = path("flight.y4m");
   {
