@@ -373,7 +373,7 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
   log_skipped(result->counts);
 
   std::optional<StreamNumbers> streamed;
-  if (!result->mesh.empty())
+  if (!result->mesh.empty() && !plan.brief)
     streamed = count_stream(stream, result->wall_s, plan.options.mapping.stream_bytes_per_s);
   place_on_earth(*result);
   if (const std::string note = unmatched(plan.positions, *result); !note.empty())

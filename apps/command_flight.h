@@ -29,7 +29,7 @@ struct FlightPlan {
 
   /// A camera: to be stopped is its proper end, and no failure.
   bool live = false;
-  bool brief = false;                ///< no colmap/ and depth/ in the folder
+  bool brief = false;                ///< RunReportInput::brief, and no count of the mesh stream
   std::vector<PoseSink*> listeners;  ///< besides the program's own; outlive the run
   MapSink* map = nullptr;            ///< outlives the run
   /// Where more positions may come in while it runs; outlives the run.

@@ -179,8 +179,8 @@ Action add_live_command(CLI::App& app) {
   command->add_option("--threads", a->threads, "CPU budget; 0: all cores");
   command->add_flag("--no-mapping", a->no_mapping, "No depth maps, voxels and mesh");
   command->add_flag("--full", a->full,
-                    "Also write the COLMAP model and depth maps at the end, which takes long after "
-                    "a long flight");
+                    "Also write mesh.glb, the COLMAP model and depth maps at the end, which takes "
+                    "long after a long flight");
   command->add_flag("--json", a->json,
                     "One line of JSON per event on the standard output (docs/user-guide.md)");
   command->footer(R"(

@@ -170,9 +170,10 @@ class FolderWriter {
     options.z_up = input_.result.enu_origin.has_value();
     const std::string drc = std::string(run_mesh_stem(surface)) + ".drc";
     const std::string glb = std::string(run_mesh_stem(surface)) + ".glb";
-    return done(drc, what + ", Draco", write_mesh(mesh, dir_ / drc, MeshFormat::drc, options)) &&
-           done(glb, what + ", glTF with KHR_draco_mesh_compression, y up",
-                write_mesh(mesh, dir_ / glb, MeshFormat::glb, options));
+    if (!done(drc, what + ", Draco", write_mesh(mesh, dir_ / drc, MeshFormat::drc, options)))
+      return false;
+    return input_.brief || done(glb, what + ", glTF with KHR_draco_mesh_compression, y up",
+                                write_mesh(mesh, dir_ / glb, MeshFormat::glb, options));
   }
   void list(const std::string& name, const std::string& about) {
     files.push_back({name, about, size_below(dir_ / name)});

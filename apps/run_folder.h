@@ -25,7 +25,7 @@ struct RunReportInput {
   const SurfaceCut* cut = nullptr;                     ///< written if there is one
   std::optional<SurfaceErrors> cut_errors{};           ///< of it, if there is a true surface
   std::optional<StreamNumbers> stream = std::nullopt;  ///< if there was a mesh to stream
-  bool brief = false;  ///< without colmap/ and depth/, which take long for a long flight
+  bool brief = false;  ///< without colmap/, depth/ and .glb, which take long for a long flight
 };
 
 /// Which of a run's surfaces.
