@@ -10,6 +10,7 @@
 #include "vm/corvid_program.h"
 #include "vm/emulated_camera.h"
 #include "vm/loopback_writer.h"
+#include "vm/numbered_picture.h"
 
 namespace corvid::vm {
 namespace {
@@ -212,6 +213,57 @@ TEST_F(Live, AUsbCameraIsListedAndFollowedByItsLinkThroughUnplugging) {
   ASSERT_TRUE(run.is_object());
   EXPECT_EQ(run["frames"]["interruptions"], 1);
   EXPECT_EQ(run["frames"]["skipped"], 0);
+}
+
+TEST_F(Live, ARecordingHasEachPictureOfAUsbCameraOnceAndInOrder) {
+  EmulatedCamera camera;
+  std::string link;
+  ASSERT_TRUE(eventually([&] { return !(link = link_of(camera.node())).empty(); }));
+  CorvidProgram program({"--quiet", "record", "--camera", "v4l2:" + link, "--size", "320x240",
+                         "--pixels", "GREY", "--camera-rate", "15", "--buffer-mb", "64", "--out",
+                         path("recording")});
+  const auto sent = [](EmulatedCamera& one) {
+    return eventually([&] { return one.command("count") >= 20; });
+  };
+  ASSERT_TRUE(sent(camera));
+  camera.unplug();
+  EmulatedCamera again;
+  ASSERT_TRUE(sent(again));
+  program.signal(SIGTERM);
+  const std::string told = program.rest();
+  EXPECT_EQ(program.exit_code(), 0);
+  unsigned written = 0, lost = 0;
+  ASSERT_EQ(std::sscanf(told.c_str(),
+                        "%u frames, 0 skipped, 0 dropped, %u lost by the camera, 1 times away",
+                        &written, &lost),
+            2)
+      << told;
+
+  const auto source = open_source(path("recording"));
+  ASSERT_TRUE(source) << source.error().to_string();
+  std::uint32_t last = 0;
+  std::int64_t last_ns = 0;
+  unsigned count = 0, missing = 0, beginnings = 0;
+  for (auto frame = (*source)->next(); frame && *frame; frame = (*source)->next(), ++count) {
+    const GreyImage& grey = (*frame)->grey;
+    ASSERT_EQ(grey.width(), 320);
+    const std::uint32_t number = number_in(grey.data(), grey.width());
+    if (count == 0 || number < last) {
+      ++beginnings;
+    } else {
+      ASSERT_GT(number, last);
+      missing += number - last - 1;
+    }
+    const auto sent_picture = numbered_picture(grey.width(), grey.height(), number);
+    EXPECT_TRUE(std::equal(sent_picture.begin(), sent_picture.end(), grey.data())) << number;
+    EXPECT_GT((*frame)->time_ns, last_ns);
+    last = number;
+    last_ns = (*frame)->time_ns;
+  }
+  EXPECT_EQ(count, written);
+  EXPECT_GE(count, 20u);
+  EXPECT_EQ(beginnings, 2u);
+  EXPECT_EQ(missing, lost);
 }
 
 }  // namespace
