@@ -5,6 +5,7 @@
 #include <CLI/CLI.hpp>
 #include <charconv>
 #include <string_view>
+#include <utility>
 
 #include "apps/option_checks.h"
 #include "io/camera/libcamera_camera.h"
@@ -85,10 +86,17 @@ Expected<std::unique_ptr<CameraSource>> CameraArguments::open(Clock& clock,
   for (const Kind& kind : kKinds) {
     if (!spec.starts_with(kind.prefix)) continue;
     wanted.device = spec.substr(kind.prefix.size());
-    return CameraSource::open(
-        std::string(kind.name), wanted.device,
-        [open = kind.open, wanted, &clock, stop] { return open(wanted, clock, stop); }, source,
-        clock);
+    // Plugged in again, a camera has its own first size, and not the one that it was set to.
+    auto opener = [open = kind.open, wanted, &clock, stop]() mutable {
+      auto stream = open(wanted, clock, stop);
+      if (stream && wanted.width_px == 0) {
+        wanted.width_px = (*stream)->settings().width_px;
+        wanted.height_px = (*stream)->settings().height_px;
+      }
+      return stream;
+    };
+    return CameraSource::open(std::string(kind.name), wanted.device, std::move(opener), source,
+                              clock);
   }
   return fail(ErrorCode::invalid_argument, fmt::format("`{}` names no camera", spec), "--camera",
               spec.starts_with("/dev/")

@@ -18,6 +18,7 @@
 #include "apps/live_folder.h"
 #include "apps/option_checks.h"
 #include "apps/program_source.h"
+#include "apps/run_folder.h"
 #include "apps/service_notifier.h"
 #include "apps/signal_guard.h"
 #include "core/log.h"
@@ -132,6 +133,8 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   auto options = resolve(arguments);
   if (!options) return tl::unexpected(options.error());
   plan.options = *options;
+  // Before anything is made that would lie about.
+  if (auto free = check_run_folder(plan.out); !free) return tl::unexpected(free.error());
   Attached attached;
   auto camera = arguments.camera.open(attached.clock, signals.token());
   if (!camera) return tl::unexpected(camera.error());
@@ -140,7 +143,7 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const std::stop_callback stopping(signals.token(), [&] { attached.notifier.stopping(); });
 
   auto code = fly(std::move(plan), signals, context);
-  if (code && *code != ExitCode::failure) {
+  if ((code && *code != ExitCode::failure) || attached.folder->empty()) {
     attached.folder->remove();
   } else {
     log().warn("what was written while it flew is in {}", attached.folder->path().string());

@@ -77,6 +77,11 @@ void LiveFolder::on_pose(const PoseEvent& event) {
   append_tum_line(lines_, {event.time_ns, *event.T_world_camera});
 }
 
+bool LiveFolder::empty() const {
+  const std::lock_guard lock(mutex_);
+  return segment_ < 0;
+}
+
 void LiveFolder::on_map(const std::shared_ptr<const MapSnapshot>& map) {
   const std::lock_guard lock(mutex_);
   map_ = map;

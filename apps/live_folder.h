@@ -31,6 +31,8 @@ class LiveFolder final : public PoseSink, public MapSink {
   void on_pose(const PoseEvent& event) override;
   void on_map(const std::shared_ptr<const MapSnapshot>& map) override;
   [[nodiscard]] const std::filesystem::path& path() const { return path_; }
+  /// Whether no pose has come.
+  [[nodiscard]] bool empty() const;
   /// Ends writing and removes the folder.
   void remove();
 
@@ -47,7 +49,7 @@ class LiveFolder final : public PoseSink, public MapSink {
   std::uint64_t resets_ = 0;
   bool in_trouble_ = false;
 
-  std::mutex mutex_;
+  mutable std::mutex mutex_;
   std::condition_variable_any changed_;
   std::string lines_;                       // not yet written
   std::shared_ptr<const MapSnapshot> map_;  // the newest, until it is written

@@ -14,7 +14,8 @@ namespace corvid::vm {
 /// The writing end of a v4l2loopback device: grey pictures of one size.
 class LoopbackWriter {
  public:
-  LoopbackWriter(const std::string& node, int width_px, int height_px)
+  /// @param interval_s  between pictures, as readers are told; 0: they are told the driver's own.
+  LoopbackWriter(const std::string& node, int width_px, int height_px, unsigned interval_s = 0)
       : fd_(::open(node.c_str(), O_RDWR | O_CLOEXEC)) {
     v4l2_format format{};
     format.type = V4L2_BUF_TYPE_VIDEO_OUTPUT;
@@ -23,6 +24,11 @@ class LoopbackWriter {
     format.fmt.pix.pixelformat = V4L2_PIX_FMT_GREY;
     format.fmt.pix.field = V4L2_FIELD_NONE;
     ready_ = ::ioctl(fd_, VIDIOC_S_FMT, &format) == 0;
+    if (interval_s == 0) return;
+    v4l2_streamparm rate{};
+    rate.type = V4L2_BUF_TYPE_VIDEO_OUTPUT;
+    rate.parm.output.timeperframe = {interval_s, 1};
+    ready_ = ready_ && ::ioctl(fd_, VIDIOC_S_PARM, &rate) == 0;
   }
   LoopbackWriter(const LoopbackWriter&) = delete;
   LoopbackWriter& operator=(const LoopbackWriter&) = delete;
