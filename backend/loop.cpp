@@ -166,15 +166,15 @@ LoopGraph loop_graph(const MapData& map, int query, int reference, const Sim3& T
 
 bool bend_loop(MapData& map, std::vector<FrameRecord>& frames, int query, int reference,
                const Sim3& T_world_query, int threads, std::size_t most_nodes) {
-  constexpr int kIterations = 20;
-  constexpr std::size_t kAcross = 3;
+  constexpr int kIterations = 20, kCoarseIterations = 10;
+  constexpr std::size_t kAcross = 2;
   LoopGraph graph = loop_graph(map, query, reference, T_world_query, most_nodes);
   PoseGraph& fine = graph.fine;
   if (graph.nodes.size() == graph.keyframes.size()) {
     if (!optimise(fine, kIterations, threads).ok) return false;
   } else {
     PoseGraph coarse = coarsened(fine, graph.nodes, kAcross);
-    if (!optimise(coarse, kIterations, threads).ok) return false;
+    if (!optimise(coarse, kCoarseIterations, threads).ok) return false;
     spread(coarse, graph.nodes, fine);
   }
   std::vector<Sim3> moved;

@@ -11,7 +11,7 @@ namespace corvid {
 
 /// Nodes of the largest pose graph that is solved: longer chains of keyframes are coarsened. What a
 /// closed loop costs does not grow with the flight: docs/decisions/places.md.
-constexpr std::size_t kMostLoopNodes = 600;
+constexpr std::size_t kMostLoopNodes = 400;
 
 /// A loop's pose graph: the keyframes of one segment, what ties them, and the loop.
 struct LoopGraph {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "core/check.h"
 
@@ -111,11 +112,20 @@ int guess_points(MapData& map, int query, const PlacePose& place,
 void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
                     const std::vector<Sim3>& T_world_keyframe) {
   CORVID_CHECK(T_world_keyframe.size() == map.keyframes.size(), "one similarity per keyframe");
+  std::vector<std::optional<Sim3>> T_new_old;  // of keyframes that move
+  for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
+    const Pose& T = map.keyframes[k].T_world_camera;
+    const Sim3& S = T_world_keyframe[k];
+    const bool stays = S.scale() == 1 && S.translation() == T.translation() &&
+                       S.rotation().coeffs() == T.rotation().coeffs();
+    T_new_old.push_back(stays ? std::nullopt : std::optional(S * as_similarity(T).inverse()));
+  }
   for (auto& [id, track] : map.tracks) {
     if (!track.landmark || track.views.empty()) continue;
     const auto k = static_cast<std::size_t>(track.views[track.views.size() / 2].keyframe);
-    track.p_world =
-        T_world_keyframe[k] * (map.keyframes[k].T_world_camera.inverse() * track.p_world);
+    if (!T_new_old[k]) continue;
+    track.p_world = *T_new_old[k] * track.p_world;
+    map.stale_landmarks.insert(map.stale_landmarks.end(), chunk_of(id));
   }
   for (FrameRecord& record : frames) {
     const double scale = T_world_keyframe[static_cast<std::size_t>(record.keyframe)].scale();
@@ -123,17 +133,14 @@ void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
                                scale * record.T_keyframe_frame.translation()};
   }
   for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
+    if (!T_new_old[k]) continue;
     MapKeyframe& keyframe = map.keyframes[k];
     const Sim3& S = T_world_keyframe[k];
-    if (S.scale() == 1 && S.translation() == keyframe.T_world_camera.translation() &&
-        S.rotation().coeffs() == keyframe.T_world_camera.rotation().coeffs())
-      continue;
     keyframe.T_world_camera = {S.rotation(), S.translation()};
     Vector7d unit = Vector7d::Ones();
     unit.head<3>() *= S.scale();
     keyframe.drift.covariance = unit.asDiagonal() * keyframe.drift.covariance * unit.asDiagonal();
     keyframe.drift.by_focal = unit.cwiseProduct(keyframe.drift.by_focal);
-    keyframe.published = nullptr;
   }
 }
 
