@@ -164,6 +164,29 @@ TEST(CoarseGraph, WithAllNodesItIsTheGraphItself) {
     EXPECT_LT((fine.T_world_node[i].inverse() * coarse.T_world_node[i]).log().norm(), 1e-6) << i;
 }
 
+TEST(CoarseGraph, EachNodeKeepsItsStrongestTiesAcross) {
+  PoseGraph fine = chain(201);
+  std::vector<int> nodes;
+  for (int i = 0; i <= 200; i += 10) nodes.push_back(i);
+  // The last part of the chain has seen every other part, and the sixth best.
+  for (int k = 3; k < 170; ++k) {
+    const double sigma = k / 10 == 6 ? 1e-3 : 1e-2;
+    const Sim3 T =
+        fine.T_world_node[static_cast<std::size_t>(k)].inverse() * fine.T_world_node[198];
+    fine.edges.push_back({k, 198, T, sigma, sigma, sigma});
+  }
+  const auto across = [&](std::size_t most) {
+    std::vector<int> from;
+    for (const PoseGraphEdge& e : coarsened(fine, nodes, most).edges)
+      if (e.b - e.a > 1) from.push_back(e.a);
+    return from;
+  };
+  EXPECT_EQ(across(100).size(), 18U);
+  const std::vector<int> best = across(2);
+  ASSERT_EQ(best.size(), 2U);
+  for (const int node : best) EXPECT_TRUE(node == 6 || node == 7) << node;
+}
+
 TEST(CoarseGraph, WhatIsUnusableIsPassedOver) {
   const double nan = std::nan("");
   PoseGraph fine = chain(20);
