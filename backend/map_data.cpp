@@ -41,6 +41,22 @@ void publish_landmarks(MapData& map) {
   }
 }
 
+/// Where a keyframe is, or to what it belongs, is not what was published.
+bool moved(const MapKeyframe& keyframe) {
+  const Pose &now = keyframe.T_world_camera, &then = keyframe.published->T_world_camera;
+  return keyframe.segment != keyframe.published->segment ||
+         now.translation() != then.translation() ||
+         now.rotation().coeffs() != then.rotation().coeffs();
+}
+
+/// The keyframe at its new place: it sees what it saw.
+std::shared_ptr<const Keyframe> replaced(const MapKeyframe& keyframe) {
+  auto copy = std::make_shared<Keyframe>(*keyframe.published);
+  copy->segment = keyframe.segment;
+  copy->T_world_camera = keyframe.T_world_camera;
+  return copy;
+}
+
 /// The keyframe with landmarks under their new ids; null if it does not see one of them.
 std::shared_ptr<const Keyframe> renamed(const MapKeyframe& keyframe) {
   auto copy = std::make_shared<Keyframe>(*keyframe.published);
@@ -181,6 +197,7 @@ std::shared_ptr<const MapSnapshot> MapData::snapshot(std::uint64_t version) {
     MapKeyframe& keyframe = keyframes[k];
     if (keyframe.published && !keyframe.renamed.empty()) keyframe.published = renamed(keyframe);
     keyframe.renamed.clear();
+    if (keyframe.published && moved(keyframe)) keyframe.published = replaced(keyframe);
     if (!keyframe.published) {
       auto copy = std::make_shared<Keyframe>();
       copy->id = KeyframeId(static_cast<std::uint32_t>(k));

@@ -49,7 +49,7 @@ struct MapKeyframe {
   FocalEstimate focal;                        ///< what the window says that ended here
   std::vector<TrackId> tracks;                ///< ascending; those with a view here or once had
   std::optional<PositionPrior> position;      ///< set by MapPositions
-  std::shared_ptr<const Keyframe> published;  ///< null if it changed since
+  std::shared_ptr<const Keyframe> published;  ///< null if it sees something else since
   /// Landmarks that got another id since: first -> second, in this order.
   std::vector<std::pair<TrackId, TrackId>> renamed;
 };

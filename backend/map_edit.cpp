@@ -2,8 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
-#include "backend/pose_graph.h"
 #include "core/check.h"
 
 namespace corvid {
@@ -26,40 +26,6 @@ void insert_track(MapKeyframe& keyframe, TrackId id) {
 MapKeyframe& keyframe_at(MapData& map, int k) { return map.keyframes[static_cast<std::size_t>(k)]; }
 
 Sim3 as_similarity(const Pose& T) { return {1, T.rotation(), T.translation()}; }
-
-/// Positions of a segment's keyframes, ascending.
-std::vector<int> keyframes_of(const MapData& map, int segment) {
-  std::vector<int> positions;
-  for (std::size_t k = 0; k < map.keyframes.size(); ++k)
-    if (map.keyframes[k].segment == segment) positions.push_back(static_cast<int>(k));
-  return positions;
-}
-
-/// Keyframes that share the most landmarks with k, the best `count` of those with at least 15.
-std::vector<int> neighbours(const MapData& map, int k, std::size_t count) {
-  constexpr int kLeastShared = 15;
-  std::map<int, int> shared;
-  for (const TrackId id : map.keyframes[static_cast<std::size_t>(k)].tracks) {
-    const auto it = map.tracks.find(id);
-    if (it == map.tracks.end() || !it->second.landmark) continue;
-    for (const KeyframeView& v : it->second.views)
-      if (v.keyframe < k) ++shared[v.keyframe];
-  }
-  std::vector<std::pair<int, int>> order;
-  for (const auto& [other, n] : shared)
-    if (n >= kLeastShared) order.emplace_back(-n, other);
-  std::sort(order.begin(), order.end());
-  std::vector<int> best;
-  for (std::size_t i = 0; i < std::min(count, order.size()); ++i) best.push_back(order[i].second);
-  return best;
-}
-
-/// What drifts between two keyframes: the distance by 1 %, the direction and the scale little.
-PoseGraphEdge edge(int a, int b, const Sim3& T_a_b) {
-  constexpr double kShare = 0.01, kLeast = 1e-4, kRotation_rad = 1e-3, kLogScale = 5e-3;
-  return {a,        b, T_a_b, std::max(kLeast, kShare * T_a_b.translation().norm()), kRotation_rad,
-          kLogScale};
-}
 
 }  // namespace
 
@@ -146,11 +112,20 @@ int guess_points(MapData& map, int query, const PlacePose& place,
 void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
                     const std::vector<Sim3>& T_world_keyframe) {
   CORVID_CHECK(T_world_keyframe.size() == map.keyframes.size(), "one similarity per keyframe");
+  std::vector<std::optional<Sim3>> T_new_old;  // of keyframes that move
+  for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
+    const Pose& T = map.keyframes[k].T_world_camera;
+    const Sim3& S = T_world_keyframe[k];
+    const bool stays = S.scale() == 1 && S.translation() == T.translation() &&
+                       S.rotation().coeffs() == T.rotation().coeffs();
+    T_new_old.push_back(stays ? std::nullopt : std::optional(S * as_similarity(T).inverse()));
+  }
   for (auto& [id, track] : map.tracks) {
     if (!track.landmark || track.views.empty()) continue;
     const auto k = static_cast<std::size_t>(track.views[track.views.size() / 2].keyframe);
-    track.p_world =
-        T_world_keyframe[k] * (map.keyframes[k].T_world_camera.inverse() * track.p_world);
+    if (!T_new_old[k]) continue;
+    track.p_world = *T_new_old[k] * track.p_world;
+    map.stale_landmarks.insert(map.stale_landmarks.end(), chunk_of(id));
   }
   for (FrameRecord& record : frames) {
     const double scale = T_world_keyframe[static_cast<std::size_t>(record.keyframe)].scale();
@@ -158,17 +133,14 @@ void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
                                scale * record.T_keyframe_frame.translation()};
   }
   for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
+    if (!T_new_old[k]) continue;
     MapKeyframe& keyframe = map.keyframes[k];
     const Sim3& S = T_world_keyframe[k];
-    if (S.scale() == 1 && S.translation() == keyframe.T_world_camera.translation() &&
-        S.rotation().coeffs() == keyframe.T_world_camera.rotation().coeffs())
-      continue;
     keyframe.T_world_camera = {S.rotation(), S.translation()};
     Vector7d unit = Vector7d::Ones();
     unit.head<3>() *= S.scale();
     keyframe.drift.covariance = unit.asDiagonal() * keyframe.drift.covariance * unit.asDiagonal();
     keyframe.drift.by_focal = unit.cwiseProduct(keyframe.drift.by_focal);
-    keyframe.published = nullptr;
   }
 }
 
@@ -187,47 +159,6 @@ void join_segments(MapData& map, std::vector<FrameRecord>& frames, int from, int
     k.drift.covariance += before.covariance;
     k.drift.by_focal += before.by_focal;
   }
-}
-
-bool bend_loop(MapData& map, std::vector<FrameRecord>& frames, int query, int reference,
-               const Sim3& T_world_query, int threads) {
-  constexpr std::size_t kNeighbours = 6;
-  constexpr int kIterations = 20;
-  const std::vector<int> nodes = keyframes_of(map, keyframe_at(map, query).segment);
-  std::map<int, int> node_of;
-  PoseGraph graph;
-  for (const int k : nodes) {
-    node_of[k] = static_cast<int>(graph.T_world_node.size());
-    graph.T_world_node.push_back(as_similarity(keyframe_at(map, k).T_world_camera));
-    graph.fixed.push_back(graph.fixed.empty() ? 1 : 0);
-  }
-  const auto add = [&](int a, int b, const Sim3& T_world_b) {
-    graph.edges.push_back(
-        edge(node_of[a], node_of[b],
-             graph.T_world_node[static_cast<std::size_t>(node_of[a])].inverse() * T_world_b));
-  };
-  for (std::size_t i = 1; i < nodes.size(); ++i) {
-    const Sim3& T = graph.T_world_node[i];
-    std::vector<int> others = neighbours(map, nodes[i], kNeighbours);
-    std::erase_if(others, [&](int k) { return !node_of.contains(k); });
-    for (const int k : others) add(k, nodes[i], T);
-    if (std::find(others.begin(), others.end(), nodes[i - 1]) != others.end()) continue;
-    // Between them the camera was lost: only so that the graph hangs together.
-    constexpr double kLoose = 100;
-    add(nodes[i - 1], nodes[i], T);
-    PoseGraphEdge& loose = graph.edges.back();
-    loose.sigma_translation *= kLoose;
-    loose.sigma_rotation_rad *= kLoose;
-    loose.sigma_log_scale *= kLoose;
-  }
-  add(reference, query, T_world_query);
-  if (!optimise(graph, kIterations, threads).ok) return false;
-  std::vector<Sim3> moved;
-  for (const MapKeyframe& k : map.keyframes) moved.push_back(as_similarity(k.T_world_camera));
-  for (const int k : nodes)
-    moved[static_cast<std::size_t>(k)] = graph.T_world_node[static_cast<std::size_t>(node_of[k])];
-  move_keyframes(map, frames, moved);
-  return true;
 }
 
 }  // namespace corvid

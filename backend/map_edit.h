@@ -38,10 +38,4 @@ void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
 void join_segments(MapData& map, std::vector<FrameRecord>& frames, int from, int to,
                    const Sim3& T_to_from, int query, const Drift& at_query);
 
-/// Carries a loop's correction round: pose graph over the segment of the query.
-/// @param T_world_query  where the query shall be, its scale that of the old map per its own unit.
-/// @return false, and nothing is changed, if the graph cannot be solved.
-bool bend_loop(MapData& map, std::vector<FrameRecord>& frames, int query, int reference,
-               const Sim3& T_world_query, int threads);
-
 }  // namespace corvid

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "backend/loop.h"
+
 namespace corvid {
 namespace {
 

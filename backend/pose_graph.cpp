@@ -63,18 +63,6 @@ class Sim3Manifold final : public ceres::Manifold {
   }
 };
 
-/// Ad(S): S exp(d) = exp(Ad(S) d) S.
-Matrix7d adjoint(const Sim3& S) {
-  const Eigen::Matrix3d R = S.rotation().toRotationMatrix();
-  Matrix7d ad = Matrix7d::Zero();
-  ad.topLeftCorner<3, 3>() = S.scale() * R;
-  ad.block<3, 3>(0, 3) = skew(S.translation()) * R;
-  ad.block<3, 1>(0, 6) = -S.translation();
-  ad.block<3, 3>(3, 3) = R;
-  ad(6, 6) = 1;
-  return ad;
-}
-
 /// Inverse of the right Jacobian: log(exp(x) exp(d)) = x + J d + O(d^2); the series
 /// I + ad/2 + ad^2/12 - ad^4/720 + ad^6/30240 of the adjoint ad of x, with an error below 1e-6 for
 /// |x| < 1.
@@ -91,22 +79,19 @@ Matrix7d right_jacobian_inverse(const Vector7d& x) {
 
 class EdgeCost final : public ceres::SizedCostFunction<7, 8, 8> {
  public:
-  explicit EdgeCost(const PoseGraphEdge& edge) : T_a_b_(edge.T_a_b) {
-    weight_.head<3>().setConstant(1 / edge.sigma_translation);
-    weight_.segment<3>(3).setConstant(1 / edge.sigma_rotation_rad);
-    weight_[6] = 1 / edge.sigma_log_scale;
-  }
+  explicit EdgeCost(const PoseGraphEdge& edge)
+      : T_a_b_(edge.T_a_b), weight_(sqrt_information(edge)) {}
   bool Evaluate(const double* const* parameters, double* residuals,
                 double** jacobians) const override {
     const Sim3 A = from_block(parameters[0]), B = from_block(parameters[1]);
-    Eigen::Map<Vector7d>(residuals, 7) = weight_.cwiseProduct(edge_error(T_a_b_, A, B));
+    Eigen::Map<Vector7d>(residuals, 7) = weight_ * edge_error(T_a_b_, A, B);
     if (jacobians == nullptr) return true;
     Matrix7d d[2];
     edge_jacobians(T_a_b_, A, B, &d[0], &d[1]);
     for (int i = 0; i < 2; ++i) {
       if (jacobians[i] == nullptr) continue;
       Eigen::Map<Eigen::Matrix<double, 7, 8, Eigen::RowMajor>> J(jacobians[i]);
-      J.leftCols<7>() = weight_.asDiagonal() * d[i];
+      J.leftCols<7>() = weight_ * d[i];
       J.col(7).setZero();
     }
     return true;
@@ -114,14 +99,8 @@ class EdgeCost final : public ceres::SizedCostFunction<7, 8, 8> {
 
  private:
   Sim3 T_a_b_;
-  Vector7d weight_;
+  Matrix7d weight_;
 };
-
-bool usable(const PoseGraphEdge& e) {
-  const auto good = [](double sigma) { return std::isfinite(sigma) && sigma > 0; };
-  return e.a != e.b && finite(e.T_a_b) && good(e.sigma_translation) && good(e.sigma_rotation_rad) &&
-         good(e.sigma_log_scale);
-}
 
 /// Nodes that edges tie to a fixed one.
 std::vector<std::uint8_t> tied(const PoseGraph& graph) {
@@ -147,8 +126,35 @@ std::vector<std::uint8_t> tied(const PoseGraph& graph) {
 
 }  // namespace
 
+bool usable(const PoseGraphEdge& e) {
+  const auto good = [](double sigma) { return std::isfinite(sigma) && sigma > 0; };
+  if (e.a == e.b || !finite(e.T_a_b)) return false;
+  if (e.sqrt_information) return e.sqrt_information->allFinite();
+  return good(e.sigma_translation) && good(e.sigma_rotation_rad) && good(e.sigma_log_scale);
+}
+
+Matrix7d sqrt_information(const PoseGraphEdge& edge) {
+  if (edge.sqrt_information) return *edge.sqrt_information;
+  Vector7d weight;
+  weight.head<3>().setConstant(1 / edge.sigma_translation);
+  weight.segment<3>(3).setConstant(1 / edge.sigma_rotation_rad);
+  weight[6] = 1 / edge.sigma_log_scale;
+  return weight.asDiagonal();
+}
+
 Vector7d edge_error(const Sim3& T_a_b, const Sim3& T_world_a, const Sim3& T_world_b) {
   return (T_a_b.inverse() * T_world_a.inverse() * T_world_b).log();
+}
+
+Matrix7d adjoint(const Sim3& S) {
+  const Eigen::Matrix3d R = S.rotation().toRotationMatrix();
+  Matrix7d ad = Matrix7d::Zero();
+  ad.topLeftCorner<3, 3>() = S.scale() * R;
+  ad.block<3, 3>(0, 3) = skew(S.translation()) * R;
+  ad.block<3, 1>(0, 6) = -S.translation();
+  ad.block<3, 3>(3, 3) = R;
+  ad(6, 6) = 1;
+  return ad;
 }
 
 void edge_jacobians(const Sim3& T_a_b, const Sim3& T_world_a, const Sim3& T_world_b, Matrix7d* d_a,

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "backend/solve_result.h"
@@ -9,13 +10,22 @@
 
 namespace corvid {
 
+using Matrix7d = Eigen::Matrix<double, 7, 7>;
+
 /// How one node lies in another, as it was measured: T_a_b = T_world_a^-1 T_world_b.
 struct PoseGraphEdge {
   int a = 0, b = 0;  ///< positions in PoseGraph::T_world_node
   Sim3 T_a_b;
   /// Standard deviations of the translation [units of a], the rotation and the log of the scale.
   double sigma_translation = 1, sigma_rotation_rad = 1, sigma_log_scale = 1;
+  /// Instead of the standard deviations, where errors hang together: of edge_error().
+  std::optional<Matrix7d> sqrt_information = std::nullopt;
 };
+
+/// Not from a node to itself, finite, and with positive standard deviations.
+[[nodiscard]] bool usable(const PoseGraphEdge& edge);
+/// So that sqrt_information * edge_error() has unit covariance.
+[[nodiscard]] Matrix7d sqrt_information(const PoseGraphEdge& edge);
 
 /// Cameras whose scale drifts: each node maps its own camera frame, with its own unit of length, to
 /// the world (Strasdat, Montiel and Davison, "Scale drift-aware large scale monocular SLAM", RSS
@@ -30,7 +40,9 @@ struct PoseGraph {
 /// T_world_b).
 [[nodiscard]] Vector7d edge_error(const Sim3& T_a_b, const Sim3& T_world_a, const Sim3& T_world_b);
 
-using Matrix7d = Eigen::Matrix<double, 7, 7>;
+/// Ad(S): S exp(d) = exp(Ad(S) d) S.
+[[nodiscard]] Matrix7d adjoint(const Sim3& S);
+
 /// Derivatives of edge_error() by right perturbations of the two nodes.
 void edge_jacobians(const Sim3& T_a_b, const Sim3& T_world_a, const Sim3& T_world_b, Matrix7d* d_a,
                     Matrix7d* d_b);

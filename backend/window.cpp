@@ -118,12 +118,8 @@ std::vector<int> scale_pair(const Part& part, std::vector<int> poses) {
 void write_back(MapData& map, const Part& part, bool camera_changed) {
   for (std::size_t i = 0; i < part.keyframes.size(); ++i) {
     if (part.problem.fixed[i] != 0) continue;
-    MapKeyframe& keyframe = map.keyframes[static_cast<std::size_t>(part.keyframes[i])];
-    keyframe.T_world_camera = part.problem.T_world_camera[i];
-    if (!keyframe.published) continue;
-    auto moved = std::make_shared<Keyframe>(*keyframe.published);  // it sees what it saw
-    moved->T_world_camera = keyframe.T_world_camera;
-    keyframe.published = std::move(moved);
+    map.keyframes[static_cast<std::size_t>(part.keyframes[i])].T_world_camera =
+        part.problem.T_world_camera[i];
   }
   for (std::size_t i = 0; i < part.tracks.size(); ++i) {
     part.tracks[i]->p_world = part.problem.points[i];

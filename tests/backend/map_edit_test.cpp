@@ -243,6 +243,38 @@ TEST(MapEdit, AFusedLandmarkHasItsNewNameInEveryKeyframeOfTheSnapshot) {
   }
 }
 
+TEST(MapEdit, ASnapshotFollowsWhatMovedAndSharesWhatDidNot) {
+  TwoSegments two;
+  const int beside = two.add(0, two.T_0_a * at(0.1));
+  const auto before = two.map.snapshot(1);
+  std::vector<Sim3> T_world_keyframe;
+  for (const MapKeyframe& k : two.map.keyframes)
+    T_world_keyframe.emplace_back(1, k.T_world_camera.rotation(), k.T_world_camera.translation());
+  T_world_keyframe[0] = T_world_keyframe[0] * Sim3(1.1, so3_exp({0, 0.1, 0}), {0.2, 0, 0});
+  move_keyframes(two.map, two.frames, T_world_keyframe);
+  join_segments(two.map, two.frames, 1, 0, Sim3(), two.b, {});  // which moves nothing
+  const auto now = two.map.snapshot(2);
+  MapData fresh = two.map;
+  for (MapKeyframe& keyframe : fresh.keyframes) keyframe.published = nullptr;
+  const auto wanted = fresh.snapshot(2);
+  for (std::size_t k = 0; k < 3; ++k) {
+    const Keyframe &a = *now->keyframes[k], &b = *wanted->keyframes[k];
+    EXPECT_EQ(a.segment, 0);
+    EXPECT_EQ(a.T_world_camera.translation(), b.T_world_camera.translation());
+    EXPECT_EQ(a.T_world_camera.rotation().coeffs(), b.T_world_camera.rotation().coeffs());
+    ASSERT_EQ(a.observations.size(), b.observations.size());
+    for (std::size_t i = 0; i < a.observations.size(); ++i)
+      EXPECT_EQ(a.observations[i].landmark, b.observations[i].landmark);
+  }
+  EXPECT_EQ(now->keyframes[static_cast<std::size_t>(beside)],
+            before->keyframes[static_cast<std::size_t>(beside)]);
+  ASSERT_EQ(now->landmarks.size(), wanted->landmarks.size());
+  for (const Landmark& landmark : wanted->landmarks)
+    EXPECT_EQ(now->find(landmark.id)->p_world, landmark.p_world);
+  EXPECT_NE(now->find(LandmarkId(0))->p_world, before->find(LandmarkId(0))->p_world);
+  EXPECT_EQ(now->find(LandmarkId(1000))->p_world, before->find(LandmarkId(1000))->p_world);
+}
+
 TEST(MapEdit, TracksBesideAFusedLandmarkBorrowItsDepth) {
   HandMade hand;
   const int a = hand.add(0, at(0)), query = hand.add(0, at(0.2));
