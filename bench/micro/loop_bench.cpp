@@ -6,15 +6,15 @@
 
 #include "backend/places.h"
 #include "backend/window.h"
-#include "tests/backend/long_flight.h"
+#include "bench/micro/long_flight.h"
 
 namespace corvid {
 namespace {
 
 /// Rounds over known ground, then 400 keyframes over new ground, and back.
-std::unique_ptr<test::LongFlight> flight(int keyframes, int segment_of_excursion) {
+std::unique_ptr<LongFlight> flight(int keyframes, int segment_of_excursion) {
   constexpr int kExcursion = 400;
-  auto f = std::make_unique<test::LongFlight>(test::LongFlightOptions{
+  auto f = std::make_unique<LongFlight>(LongFlightOptions{
       .keyframes = keyframes, .excursion = kExcursion, .found = 0.5, .drift = 5e-4});
   for (int k = keyframes - kExcursion; k < keyframes; ++k)
     f->map.keyframes[static_cast<std::size_t>(k)].segment = segment_of_excursion;
@@ -23,7 +23,7 @@ std::unique_ptr<test::LongFlight> flight(int keyframes, int segment_of_excursion
 }
 
 /// The last keyframe is found where the rounds ended.
-PlacePose found(const test::LongFlight& f) {
+PlacePose found(const LongFlight& f) {
   PlacePose place;
   place.ok = true;
   place.reference = static_cast<int>(f.map.keyframes.size()) - 401;

@@ -9,7 +9,7 @@
 #include <numeric>
 
 #include "backend/coarse_graph.h"
-#include "tests/backend/long_flight.h"
+#include "bench/micro/long_flight.h"
 
 namespace corvid {
 namespace {
@@ -17,7 +17,7 @@ namespace {
 constexpr std::size_t kNoBound = 1'000'000;
 
 /// Rounds over known ground, then a wide one over new ground back to them, with drift.
-struct Return : test::LongFlight {
+struct Return : LongFlight {
   int query, reference;
   Sim3 T_world_query;
   explicit Return(int keyframes, int excursion)

@@ -11,9 +11,8 @@
 
 #include "backend/map_data.h"
 #include "backend/start.h"
-#include "tests/backend/simulator.h"
 
-namespace corvid::test {
+namespace corvid {
 
 struct LongFlightOptions {
   int keyframes = 1000;  ///< about 3.3 units apart, 30 above the ground
@@ -38,7 +37,13 @@ struct LongFlight {
         random_(options.seed),
         rounds_(options.keyframes - options.excursion),
         radius_(kStep * options.per_round / (2 * std::numbers::pi)) {
-    map.camera = pinhole_camera();
+    Camera& c = map.camera;
+    c.width_px = 752;
+    c.height_px = 480;
+    c.fx_px = 458.7;
+    c.fy_px = 457.3;
+    c.cx_px = 367.2;
+    c.cy_px = 248.4;
     for (int k = 0; k < options.keyframes; ++k) {
       truth.push_back(pose_of(k));
       scatter(truth.back().translation());
@@ -71,7 +76,8 @@ struct LongFlight {
   };
 
   [[nodiscard]] Pose pose_of(int k) const {
-    const Eigen::Quaterniond q = wobble(0.01 * k, 0.05);
+    const Eigen::Quaterniond q = so3_exp(
+        0.05 * Eigen::Vector3d(std::sin(0.11 * k), std::cos(0.07 * k), std::sin(0.05 * k + 1)));
     const double turn = 2 * std::numbers::pi;
     if (k < rounds_) {
       const double angle = turn * k / options_.per_round;
@@ -170,4 +176,4 @@ struct LongFlight {
   std::uint32_t next_ = 0;
 };
 
-}  // namespace corvid::test
+}  // namespace corvid
