@@ -54,8 +54,8 @@ Expected<void> parse_size(const std::string& text, CameraRequest& request) {
 CLI::Option* CameraArguments::add_to(CLI::App& command) {
   CLI::Option* camera = command.add_option(
       "--camera", spec,
-      "v4l2:DEVICE, libcamera:ID (`corvid cameras` lists both), or y4m:FILE, y4m:- for a "
-      "YUV4MPEG2 stream on the standard input");
+      "v4l2:DEVICE, libcamera:ID (`corvid cameras` lists both), or y4m:-, y4m:FIFO for a "
+      "YUV4MPEG2 stream");
   command.add_option("--size", size, "WIDTHxHEIGHT [px]; default: what the camera is set to");
   command.add_option("--pixels", request.format,
                      "Pixel format as `corvid cameras` names it; default: the best for grey");

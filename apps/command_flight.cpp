@@ -302,11 +302,16 @@ Json end_json(const RunResult& result, const RunNumbers& n, const Truth& truth, 
 // @param live  a camera, which has no other end than to be stopped.
 ExitCode judge(const RunResult& result, const std::string& source, bool asked, bool live,
                bool without_cut) {
-  if (result.interrupted && asked && !live) {
+  if (result.interrupted && asked && live) {
+    if (result.trajectory.empty())
+      log().warn("{}: not one frame got a pose: {}", source, commonest_reason(result));
+    return ExitCode::ok;
+  }
+  if (result.interrupted && asked) {
     log().warn("interrupted: this is what there was until then");
     return ExitCode::interrupted;
   }
-  if (result.interrupted && !asked) {
+  if (result.interrupted) {
     log().error("{}: {}", source,
                 result.notes.empty() ? "the run ended early" : result.notes.back());
     return ExitCode::failure;
@@ -328,8 +333,11 @@ ExitCode judge(const RunResult& result, const std::string& source, bool asked, b
 
 Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& context) {
   if (auto free = check_run_folder(plan.out); !free) return tl::unexpected(free.error());
-  auto engine = open_explained([&] { return Engine::create(plan.options); });
-  if (!engine) return tl::unexpected(engine.error());
+  if (!plan.engine) {
+    auto engine = open_explained([&] { return Engine::create(plan.options); });
+    if (!engine) return tl::unexpected(engine.error());
+    plan.engine = std::move(*engine);
+  }
 
   SteadyClock clock;
   const FrameSource& source = *plan.source;  // the player owns it from here on
@@ -366,8 +374,8 @@ Expected<ExitCode> fly(FlightPlan plan, const SignalGuard& signals, Context& con
       progress.emplace(player.info().frames, clock);
       listeners.add(&*progress);
     }
-    return (*engine)->run(player, {&listeners, &listeners, archive.value_or(nullptr), plan.map},
-                          signals.token(), &positions);
+    return plan.engine->run(player, {&listeners, &listeners, archive.value_or(nullptr), plan.map},
+                            signals.token(), &positions);
   }();
   if (!result) return tl::unexpected(result.error());
   log_skipped(result->counts);

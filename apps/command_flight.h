@@ -8,6 +8,7 @@
 
 #include "apps/program.h"
 #include "apps/signal_guard.h"
+#include "corvid/engine.h"
 #include "corvid/options.h"
 #include "corvid/ports.h"
 #include "corvid/position.h"
@@ -29,6 +30,7 @@ struct FlightPlan {
 
   /// A camera: to be stopped is its proper end, and no failure.
   bool live = false;
+  std::unique_ptr<Engine> engine;    ///< null: made of the options
   bool brief = false;                ///< RunReportInput::brief, and no count of the mesh stream
   std::vector<PoseSink*> listeners;  ///< besides the program's own; outlive the run
   MapSink* map = nullptr;            ///< outlives the run

@@ -4,6 +4,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <ctime>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <stop_token>
@@ -16,6 +17,7 @@
 #include "apps/command_list.h"
 #include "apps/engine_options.h"
 #include "apps/live_folder.h"
+#include "apps/opencl_trouble.h"
 #include "apps/option_checks.h"
 #include "apps/program_source.h"
 #include "apps/run_folder.h"
@@ -107,6 +109,7 @@ Expected<void> attach(const Arguments& arguments, FlightPlan& plan, Attached& at
     if (!writer) return tl::unexpected(writer.error());
     RecorderOptions options;
     options.buffer_bytes = static_cast<std::size_t>(arguments.buffer_mb) << 20;
+    options.threads = recorder_threads();
     attached.recorder = std::make_unique<AsyncRecorder>(std::move(*writer), options);
     attached.recording = arguments.record;
     plan.source = std::make_unique<RecordedSource>(std::move(plan.source), *attached.recorder);
@@ -123,8 +126,27 @@ Expected<void> attach(const Arguments& arguments, FlightPlan& plan, Attached& at
   return {};
 }
 
+/// Says when a source has ended.
+class EndingSource final : public FrameSource {
+ public:
+  EndingSource(std::unique_ptr<FrameSource> source, std::function<void()> ended)
+      : source_(std::move(source)), ended_(std::move(ended)) {}
+  [[nodiscard]] const SourceInfo& info() const override { return source_->info(); }
+  [[nodiscard]] Expected<FramePtr> next(const std::stop_token& stop) override {
+    auto frame = source_->next(stop);
+    if (!frame || !*frame) ended_();
+    return frame;
+  }
+  [[nodiscard]] SourceCounts counts() const override { return source_->counts(); }
+
+ private:
+  std::unique_ptr<FrameSource> source_;
+  std::function<void()> ended_;
+};
+
 Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   const SignalGuard signals;
+  Attached attached;  // outlives the source, which asks its clock
   FlightPlan plan;
   plan.live = true;
   plan.brief = !arguments.full;
@@ -135,11 +157,15 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   plan.options = *options;
   // Before anything is made that would lie about.
   if (auto free = check_run_folder(plan.out); !free) return tl::unexpected(free.error());
-  Attached attached;
+  auto engine = open_explained([&] { return Engine::create(plan.options); });
+  if (!engine) return tl::unexpected(engine.error());
+  plan.engine = std::move(*engine);
   auto camera = arguments.camera.open(attached.clock, signals.token());
   if (!camera) return tl::unexpected(camera.error());
   plan.source = std::move(*camera);
   if (auto done = attach(arguments, plan, attached); !done) return tl::unexpected(done.error());
+  plan.source = std::make_unique<EndingSource>(std::move(plan.source),
+                                               [&] { attached.notifier.finishing(); });
   const std::stop_callback stopping(signals.token(), [&] { attached.notifier.stopping(); });
 
   auto code = fly(std::move(plan), signals, context);

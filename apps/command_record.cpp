@@ -7,7 +7,6 @@
 #include <optional>
 #include <ostream>
 #include <string>
-#include <thread>
 #include <utility>
 
 #include "apps/camera_arguments.h"
@@ -67,8 +66,7 @@ class RecordingLine {
 RecorderOptions recorder_options(const Arguments& arguments) {
   RecorderOptions options;
   options.buffer_bytes = static_cast<std::size_t>(arguments.buffer_mb) << 20;
-  const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
-  options.threads = arguments.threads > 0 ? arguments.threads : std::min(cores, 4);
+  options.threads = arguments.threads > 0 ? arguments.threads : recorder_threads();
   return options;
 }
 

@@ -45,17 +45,17 @@ Expected<std::unique_ptr<LiveFolder>> LiveFolder::create(const fs::path& run,
   if (trouble)
     return fail(ErrorCode::io, "cannot be made: " + trouble.message(), path.string(),
                 "check the folder's permissions and the free space");
-  std::unique_ptr<LiveFolder> folder(new LiveFolder(path, fd));
-  folder->lines_ = fmt::format(
-      "{}\n# {}\n# poses as they were published: time [s] tx ty tz qx qy qz qw "
-      "(T_world_camera)\n",
-      kAppended, about);
-  return folder;
+  return std::unique_ptr<LiveFolder>(new LiveFolder(
+      path, fd,
+      fmt::format("{}\n# {}\n# poses as they were published: time [s] tx ty tz qx qy qz qw "
+                  "(T_world_camera)\n",
+                  kAppended, about)));
 }
 
-LiveFolder::LiveFolder(fs::path path, int fd)
+LiveFolder::LiveFolder(fs::path path, int fd, std::string first_lines)
     : path_(std::move(path)),
       fd_(fd),
+      lines_(std::move(first_lines)),
       thread_([this](const std::stop_token& stop) { run(stop); }) {}
 
 LiveFolder::~LiveFolder() {

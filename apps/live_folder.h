@@ -37,7 +37,7 @@ class LiveFolder final : public PoseSink, public MapSink {
   void remove();
 
  private:
-  LiveFolder(std::filesystem::path path, int fd);
+  LiveFolder(std::filesystem::path path, int fd, std::string first_lines);
   void run(const std::stop_token& stop);
   void write_lines(const std::string& lines);
   void write_map(const MapSnapshot& map);

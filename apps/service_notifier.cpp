@@ -80,4 +80,8 @@ void ServiceNotifier::stopping() {
   if (fd_ >= 0) send("STOPPING=1\nSTATUS=saving");
 }
 
+void ServiceNotifier::finishing() {
+  if (fd_ >= 0) send("WATCHDOG_USEC=3600000000\nSTATUS=finishing");
+}
+
 }  // namespace corvid

@@ -9,6 +9,10 @@
 #include "core/log.h"
 
 namespace corvid {
+
+int recorder_threads() {
+  return static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 1U, 4U));
+}
 namespace {
 
 std::size_t bytes_of(const Frame& frame) {

@@ -23,6 +23,9 @@ struct RecorderOptions {
   int threads = 1;                                     ///< that encode; >= 1
 };
 
+/// As many encoding threads as cores, at most four.
+[[nodiscard]] int recorder_threads();
+
 struct RecorderCounts {
   std::uint64_t written = 0;  ///< frames that are on their way to the disk for good
   std::uint64_t bytes = 0;    ///< of their pictures
@@ -82,8 +85,9 @@ class AsyncRecorder {
   std::vector<std::jthread> threads_;
 };
 
-/// Hands every frame of a source (but no blind ones) to a recorder on the way to whoever asks for it. From a source
-/// that is paced (a camera) it never waits for the disk; from others, nothing is dropped.
+/// Hands every frame of a source (but no blind ones) to a recorder on the way to whoever asks for
+/// it. From a source that is paced (a camera) it never waits for the disk; from others, nothing is
+/// dropped.
 class RecordedSource final : public FrameSource {
  public:
   /// @param recorder  outlives it.

@@ -17,6 +17,7 @@ namespace {
 
 constexpr std::size_t kMostMessages = 100;
 constexpr std::chrono::milliseconds kSlice(100);  // waited at once, so that all else has its turn
+constexpr double kFresh_s = 0.3;                  // between opening and the first picture taken
 constexpr double kUnknownRate_hz = 5;             // when the driver says none
 
 std::int64_t ns(double seconds) { return std::llround(1e9 * seconds); }
@@ -75,8 +76,9 @@ std::int64_t CameraSource::stall_ns() const {
 }
 
 Expected<FramePtr> CameraSource::next(const std::stop_token& stop) {
+  if (!begun_ns_) begin();
   while (!stop.stop_requested()) {
-    if (options_.duration_s && clock_.now_ns() - opened_ns_ >= ns(*options_.duration_s)) break;
+    if (options_.duration_s && clock_.now_ns() - *begun_ns_ >= ns(*options_.duration_s)) break;
     if (!stream_) {
       const std::int64_t now_ns = clock_.now_ns();
       if (now_ns >= blind_due_ns_) return blind();
@@ -89,10 +91,7 @@ Expected<FramePtr> CameraSource::next(const std::stop_token& stop) {
     }
     auto capture = stream_->next(kSlice, stop);
     if (!capture) {
-      if (stream_->ended()) {
-        log().warn("{}", capture.error().to_string());
-        return nullptr;
-      }
+      if (stream_->ended()) return tl::unexpected(capture.error());
       interrupt(capture.error().to_string());
       close();
       continue;
@@ -102,19 +101,20 @@ Expected<FramePtr> CameraSource::next(const std::stop_token& stop) {
     const std::int64_t now_ns = clock_.now_ns();
     const std::int64_t still_ns = now_ns - waiting_since_ns_;
     if (still_ns >= stall_ns())
-      interrupt(fmt::format("{}: no picture for {:.1f} s: the camera stands still", info_.path,
-                            1e-9 * static_cast<double>(still_ns)));
-    if (still_ns >= stall_ns() + ns(options_.reopen_stalled_s)) close();
+      interrupt(fmt::format("{}: no pictures come any more: the camera stands still", info_.path));
+    if (still_ns >= stall_ns() + ns(options_.reopen_stalled_s) && stream_->reopens()) close();
     if (!reason_.empty() && now_ns >= blind_due_ns_) return blind();
   }
   return nullptr;
 }
 
 void CameraSource::interrupt(std::string reason) {
-  if (!reason_.empty()) return;
-  ++counts_.interruptions;
-  interrupted_ns_ = clock_.now_ns();
-  blind_due_ns_ = interrupted_ns_;
+  if (reason == reason_) return;
+  if (reason_.empty()) {
+    ++counts_.interruptions;
+    interrupted_ns_ = clock_.now_ns();
+    blind_due_ns_ = interrupted_ns_;
+  }
   reason_ = std::move(reason);
   log().warn("{}", reason_);
 }
@@ -122,8 +122,23 @@ void CameraSource::interrupt(std::string reason) {
 void CameraSource::close() {
   add(counts_, stream_->counts());
   stream_.reset();
-  retry_s_ = options_.first_retry_s;
+  wait_to_retry();
+}
+
+/// Twice as long as before, until a picture comes.
+void CameraSource::wait_to_retry() {
+  retry_s_ =
+      retry_s_ > 0 ? std::min(2 * retry_s_, options_.longest_retry_s) : options_.first_retry_s;
   retry_due_ns_ = clock_.now_ns() + ns(retry_s_);
+}
+
+/// What was opened long before anybody takes pictures would give old ones first.
+void CameraSource::begin() {
+  const std::int64_t now_ns = clock_.now_ns();
+  begun_ns_ = waiting_since_ns_ = now_ns;
+  if (now_ns - opened_ns_ < ns(kFresh_s) || !stream_->reopens()) return;
+  stream_.reset();
+  reopen();
 }
 
 void CameraSource::reopen() {
@@ -140,16 +155,13 @@ void CameraSource::reopen() {
     waiting_since_ns_ = clock_.now_ns();
     return;
   }
-  if (why != reason_) {
-    log().warn("{}", why);
-    reason_ = std::move(why);
-  }
-  retry_s_ = std::min(2 * retry_s_, options_.longest_retry_s);
-  retry_due_ns_ = clock_.now_ns() + ns(retry_s_);
+  interrupt(std::move(why));
+  wait_to_retry();
 }
 
 FramePtr CameraSource::deliver(Capture capture) {
   waiting_since_ns_ = clock_.now_ns();
+  retry_s_ = 0;
   if (!reason_.empty()) {
     log().info("{}: the camera is back after {:.1f} s", info_.path,
                1e-9 * static_cast<double>(waiting_since_ns_ - interrupted_ns_));

@@ -25,8 +25,8 @@ struct CameraSourceOptions {
 
 /// A camera as a source of the engine, for hours: a camera that is unplugged, stalls or fails is
 /// an interruption, reported once in the log and by blind frames, and is opened anew with back-off
-/// until it is back. Damaged and lost pictures are counted. It ends when the stream does (a pipe)
-/// or when asked to stop.
+/// until it is back. Damaged and lost pictures are counted. It ends when the stream does (a pipe,
+/// with an error if it was broken) or when asked to stop.
 class CameraSource final : public FrameSource {
  public:
   using Opener = std::function<Expected<std::unique_ptr<CameraStream>>()>;
@@ -54,6 +54,8 @@ class CameraSource final : public FrameSource {
   [[nodiscard]] std::int64_t stall_ns() const;
   void interrupt(std::string reason);
   void close();
+  void begin();
+  void wait_to_retry();
   void reopen();
 
   Opener opener_;
@@ -63,9 +65,10 @@ class CameraSource final : public FrameSource {
   std::unique_ptr<CameraStream> stream_;  ///< null while the camera is away
   std::string reason_;                    ///< of the interruption; empty if there is none
   std::int64_t opened_ns_ = 0;
-  std::int64_t waiting_since_ns_ = 0;  ///< the last picture's arrival, or the stream's opening
+  std::optional<std::int64_t> begun_ns_;  ///< when pictures were asked for first
+  std::int64_t waiting_since_ns_ = 0;     ///< the last picture's arrival, or the stream's opening
   std::int64_t interrupted_ns_ = 0, blind_due_ns_ = 0, retry_due_ns_ = 0;
-  double retry_s_ = 0;
+  double retry_s_ = 0;  ///< the last wait before opening; 0: pictures came since
   std::uint32_t next_id_ = 0;
   std::optional<std::int64_t> newest_ns_;  ///< time of the last frame
   SourceCounts counts_;                    ///< without those of stream_

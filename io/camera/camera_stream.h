@@ -84,6 +84,8 @@ class CameraStream {
   /// The stream is over for good, and opening it anew is of no use: the end of a pipe. next() has
   /// given nothing, or an error that says why it ended too early.
   [[nodiscard]] virtual bool ended() const { return false; }
+  /// Whether it can be opened anew: a camera can, a pipe that has begun cannot.
+  [[nodiscard]] virtual bool reopens() const { return true; }
 };
 
 }  // namespace corvid

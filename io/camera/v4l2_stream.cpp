@@ -10,6 +10,7 @@
 #include <span>
 #include <utility>
 
+#include "core/log.h"
 #include "io/camera/frame_count.h"
 #include "io/camera/raw_image.h"
 #include "io/camera/v4l2_camera.h"
@@ -210,8 +211,9 @@ Expected<std::optional<Capture>> V4l2Stream::take_buffer(bool in_error) {
     return over(EPROTO, "the driver gave a buffer that it does not have");
   }
   const std::int64_t arrival_ns = clock_.now_ns();
-  const std::int64_t kernel_ns = std::int64_t{buffer.head.timestamp.tv_sec} * 1'000'000'000 +
-                                 std::int64_t{buffer.head.timestamp.tv_usec} * 1'000;
+  const std::int64_t kernel_ns =
+      std::clamp<std::int64_t>(buffer.head.timestamp.tv_sec, 0, 9'000'000'000) * 1'000'000'000 +
+      std::int64_t{buffer.head.timestamp.tv_usec} * 1'000;
   const std::uint64_t sequence = counts_.came(buffer.head.sequence);
   Expected<Capture> capture = convert(buffer);
   if (const int error = device_.call(VIDIOC_QBUF, &buffer.head)) {
@@ -220,6 +222,16 @@ Expected<std::optional<Capture>> V4l2Stream::take_buffer(bool in_error) {
   if (!capture) {
     counts_.damaged(sequence, capture.error().what);
     return std::optional<Capture>();
+  }
+  // As with SensorClock: a stamp that is no time of this clock would make all frames wrong.
+  constexpr std::int64_t kOldest_ns = 10'000'000'000;
+  const bool fits = kernel_ns <= arrival_ns && arrival_ns - kernel_ns <= kOldest_ns;
+  if (!fits && !arrival_times_) {
+    log().warn(
+        "{}: the driver's times do not belong to the monotonic clock: those of arrival are "
+        "taken",
+        device_.path());
+    arrival_times_ = true;
   }
   capture->time_ns = arrival_times_ ? arrival_ns : kernel_ns;
   capture->sequence = sequence;

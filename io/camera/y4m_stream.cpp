@@ -28,7 +28,10 @@ using SteadyTime = std::chrono::steady_clock::time_point;
 constexpr milliseconds kHeaderWait{10'000};
 constexpr milliseconds kPoll{50};  // after which a wish to stop is looked at
 constexpr std::size_t kReadAhead = 1 << 16;
-constexpr std::int64_t kSecond_ns = 1'000'000'000, kMaxDelay_ns = kSecond_ns / 2;
+constexpr std::int64_t kSecond_ns = 1'000'000'000, kMostDelay_ns = kSecond_ns / 2;
+// A rate that is wrong makes the count begin anew again and again, after fewer frames than this.
+constexpr std::int64_t kSoon = 100;
+constexpr int kMostSoon = 3;
 constexpr std::string_view kFrameMark = "FRAME";
 constexpr std::size_t kMaxMessages = 100;
 
@@ -123,6 +126,7 @@ class Y4mStream final : public CameraStream {
   [[nodiscard]] Expected<std::optional<Capture>> next(milliseconds timeout,
                                                       const std::stop_token& stop) override;
   [[nodiscard]] StreamCounts counts() const override { return counts_; }
+  [[nodiscard]] bool reopens() const override { return false; }
   [[nodiscard]] bool ended() const override { return ended_; }
 
  private:
@@ -136,14 +140,13 @@ class Y4mStream final : public CameraStream {
   const bool colour_;
   Clock& clock_;
   StreamSettings settings_;
-  std::size_t note_of_delays_ = 0;  ///< its place in the notes
   StreamCounts counts_;
   bool ended_ = false;
   bool in_frame_ = false;  ///< the mark was read, its picture was not
   std::uint64_t sequence_ = 0;
   std::int64_t anchor_ns_ = 0, last_ns_ = -1;
   std::int64_t since_anchor_ = 0;  ///< frames
-  std::uint64_t delays_ = 0;
+  int soon_ = 0;                   ///< times in a row that the count began anew soon after it had
 };
 
 Y4mStream::Y4mStream(std::unique_ptr<PipeReader> pipe, Y4mHeader header,
@@ -199,27 +202,26 @@ tl::unexpected<Error> Y4mStream::broken(std::string what) {
 
 std::int64_t Y4mStream::capture_time_ns() {
   const std::int64_t now_ns = clock_.now_ns();
-  if (header_.rate_num == 0) return last_ns_ = std::max(now_ns, last_ns_ + 1);
+  if (header_.rate_num == 0 || soon_ >= kMostSoon) return last_ns_ = std::max(now_ns, last_ns_ + 1);
   if (sequence_ == 0) anchor_ns_ = now_ns;
   // frames * den / num in whole seconds and the rest, so that nothing overflows.
   const std::int64_t units = since_anchor_ * header_.rate_den;
   std::int64_t time_ns = anchor_ns_ + units / header_.rate_num * kSecond_ns +
                          units % header_.rate_num * kSecond_ns / header_.rate_num;
-  if (now_ns - time_ns > kMaxDelay_ns) {
-    ++delays_;
-    log().warn("{}: frame {} came {:.1f} s after its counted time: the count begins anew",
-               pipe_->where(), sequence_, static_cast<double>(now_ns - time_ns) * 1e-9);
-    if (note_of_delays_ == 0) {
-      note_of_delays_ = settings_.notes.size();
-      settings_.notes.emplace_back();
-    }
-    settings_.notes[note_of_delays_] = fmt::format(
-        "{} times a frame came more than 0.5 s after its counted time, and the count began anew",
-        delays_);
-    anchor_ns_ = time_ns = now_ns;
-    since_anchor_ = 0;
-  }
   ++since_anchor_;
+  if (time_ns > now_ns) {  // no picture comes before it was taken: those before were late
+    anchor_ns_ -= time_ns - now_ns;
+    time_ns = now_ns;
+  } else if (now_ns - time_ns > kMostDelay_ns) {
+    soon_ = since_anchor_ <= kSoon ? soon_ + 1 : 1;
+    log().warn("{}: frame {} came {:.1f} s after its counted time: {}", pipe_->where(), sequence_,
+               static_cast<double>(now_ns - time_ns) * 1e-9,
+               soon_ < kMostSoon ? "the count begins anew"
+                                 : "the rate is not what the stream says, times are those of "
+                                   "arrival from now on");
+    anchor_ns_ = time_ns = now_ns;
+    since_anchor_ = 1;
+  }
   return last_ns_ = std::max(time_ns, last_ns_ + 1);
 }
 
@@ -296,7 +298,10 @@ Expected<std::optional<Capture>> Y4mStream::next(milliseconds timeout,
     auto got = pipe_->need(kFrameMark.size() + 1, until, stop);
     if (got && *got == Got::enough && pipe_->bytes().starts_with(kFrameMark))
       got = pipe_->need_line(length, until, stop);
-    if (!got) return tl::unexpected(got.error());
+    if (!got) {
+      ended_ = true;
+      return tl::unexpected(got.error());
+    }
     if (!may_be_mark(pipe_->bytes())) {
       return broken(fmt::format("frame {} does not begin with FRAME but looks like {}", sequence_,
                                 looks_like(pipe_->bytes())));
@@ -307,7 +312,10 @@ Expected<std::optional<Capture>> Y4mStream::next(milliseconds timeout,
     in_frame_ = true;
   }
   const auto got = pipe_->need(header_.frame_bytes(), until, stop);
-  if (!got) return tl::unexpected(got.error());
+  if (!got) {
+    ended_ = true;
+    return tl::unexpected(got.error());
+  }
   if (*got == Got::end) end();
   if (*got != Got::enough) return std::nullopt;
   Capture capture = make_capture();
@@ -316,12 +324,20 @@ Expected<std::optional<Capture>> Y4mStream::next(milliseconds timeout,
   return capture;
 }
 
+tl::unexpected<Error> no_stream(const std::string& where) {
+  return fail(ErrorCode::invalid_argument, "is a file, which does not come at a camera's pace",
+              where, "`corvid replay FILE.y4m --rate 1.0` flies it at its own");
+}
+
 Expected<std::unique_ptr<PipeReader>> open_pipe(const std::string& device) {
   if (device == "-") {
     if (::isatty(STDIN_FILENO) != 0) {
       return fail(ErrorCode::invalid_argument, "the standard input is a terminal", "y4m:-",
                   "let a program write to it: ffmpeg ... -f yuv4mpegpipe - | corvid ...");
     }
+    struct stat status {};
+    if (::fstat(STDIN_FILENO, &status) == 0 && S_ISREG(status.st_mode))
+      return no_stream("the standard input");
     return std::make_unique<PipeReader>(STDIN_FILENO, false, "the standard input");
   }
   const int fd = ::open(device.c_str(), O_RDONLY | O_NONBLOCK | O_CLOEXEC);
@@ -330,8 +346,9 @@ Expected<std::unique_ptr<PipeReader>> open_pipe(const std::string& device) {
   struct stat status {};
   if (::fstat(fd, &status) != 0) return io_fault("cannot be examined", device, errno);
   if (S_ISDIR(status.st_mode)) {
-    return fail(ErrorCode::invalid_argument, "is a folder", device, "name a fifo or a .y4m file");
+    return fail(ErrorCode::invalid_argument, "is a folder", device, "name a fifo");
   }
+  if (S_ISREG(status.st_mode)) return no_stream(device);
   return pipe;
 }
 

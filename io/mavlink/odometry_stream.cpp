@@ -121,7 +121,7 @@ std::optional<Odometry> OdometryStream::add(const PoseEvent& event, std::int64_t
                      event.state,   event.resets, event.placement};
   if (!past_.empty()) {
     const double gap_s = difference_s(now.time_ns, past_.back().time_ns);
-    if (gap_s <= 0) return std::nullopt;
+    if (gap_s < kLeastGap_s) return std::nullopt;
     if (gap_s > kMostGap_s || past_.back().resets != now.resets) {
       past_.clear();
     } else {

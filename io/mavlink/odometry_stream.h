@@ -48,6 +48,7 @@ class OdometryStream {
   static constexpr double kMostBeyond_s = 0.25;  ///< after the last pose; older helps no autopilot
   static constexpr double kMostAge_s = 1;        ///< of a pose when it arrives
   static constexpr double kMostGap_s = 1;        ///< between poses that make a velocity
+  static constexpr double kLeastGap_s = 2e-3;    ///< nearer ones' noise would make a wild velocity
   static constexpr int kLeastChanges = 5;        ///< of velocity, for its covariance to be known
 
   explicit OdometryStream(const OdometryOptions& options) : options_(options) {}

@@ -268,11 +268,6 @@ TEST_F(LiveTest, TheJournalIsToldPriorities) {
 }
 
 TEST_F(LiveTest, AfterAKillWhatWasWrittenIsReadable) {
-  const std::string file = path("flight.y4m");
-  {
-    std::ofstream out(file, std::ios::binary);
-    for (const std::string& part : stream_parts()) out << part;
-  }
   constexpr unsigned kSeed = 7;
   std::mt19937 random(kSeed);
   std::printf("seed %u\n", kSeed);
