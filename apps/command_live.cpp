@@ -166,7 +166,10 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   if (auto done = attach(arguments, plan, attached); !done) return tl::unexpected(done.error());
   plan.source = std::make_unique<EndingSource>(std::move(plan.source),
                                                [&] { attached.notifier.finishing(); });
-  const std::stop_callback stopping(signals.token(), [&] { attached.notifier.stopping(); });
+  const std::stop_callback stopping(signals.token(), [&] {
+    attached.notifier.stopping();
+    attached.folder->hurry();
+  });
 
   auto code = fly(std::move(plan), signals, context);
   if ((code && *code != ExitCode::failure) || attached.folder->empty()) {

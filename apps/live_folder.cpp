@@ -77,6 +77,12 @@ void LiveFolder::on_pose(const PoseEvent& event) {
   append_tum_line(lines_, {event.time_ns, *event.T_world_camera});
 }
 
+void LiveFolder::hurry() {
+  const std::lock_guard lock(mutex_);
+  hurried_ = true;
+  changed_.notify_all();
+}
+
 bool LiveFolder::empty() const {
   const std::lock_guard lock(mutex_);
   return segment_ < 0;
@@ -95,9 +101,11 @@ void LiveFolder::run(const std::stop_token& stop) {
     const bool last = stop.stop_requested();
     {
       std::unique_lock lock(mutex_);
-      if (!last) changed_.wait_for(lock, stop, kLinesInterval, [] { return false; });
+      if (!last) changed_.wait_for(lock, stop, kLinesInterval, [this] { return hurried_; });
       lines = std::exchange(lines_, {});
-      if (steady_clock::now() - mapped >= kMapInterval) map = std::exchange(map_, nullptr);
+      const bool hurried = std::exchange(hurried_, false);
+      if (hurried || steady_clock::now() - mapped >= kMapInterval)
+        map = std::exchange(map_, nullptr);
     }
     if (!lines.empty()) write_lines(lines);
     if (map) {

@@ -31,6 +31,8 @@ class LiveFolder final : public PoseSink, public MapSink {
   void on_pose(const PoseEvent& event) override;
   void on_map(const std::shared_ptr<const MapSnapshot>& map) override;
   [[nodiscard]] const std::filesystem::path& path() const { return path_; }
+  /// Writes what there is at once: the end is near. From any thread; does not wait.
+  void hurry();
   /// Whether no pose has come.
   [[nodiscard]] bool empty() const;
   /// Ends writing and removes the folder.
@@ -51,6 +53,7 @@ class LiveFolder final : public PoseSink, public MapSink {
 
   mutable std::mutex mutex_;
   std::condition_variable_any changed_;
+  bool hurried_ = false;
   std::string lines_;                       // not yet written
   std::shared_ptr<const MapSnapshot> map_;  // the newest, until it is written
   std::jthread thread_;

@@ -179,6 +179,7 @@ TEST(PlaceFinder, AnotherPlaceIsNotFound) {
                                                                 GreyImage(480, 320, 9),
                                                                 {},
                                                                 map.map.keyframes[0]->frame->camera,
+                                                                "",
                                                                 ""})),
                          map.map)
                   .match.references.empty());
