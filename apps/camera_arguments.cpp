@@ -62,7 +62,7 @@ CLI::Option* CameraArguments::add_to(CLI::App& command) {
   command
       .add_option("--camera-rate", request.rate_hz,
                   "Frames per second; default: what the camera is set to")
-      ->check(above(0));
+      ->check(CLI::Range(0.01, 10000.0));
   command
       .add_option("--exposure", exposure_ms, "Manual exposure [ms]; default: the camera's own way")
       ->check(above(0));

@@ -26,6 +26,8 @@ struct FakeCamera {
   int width_px = 8;
   int opened = 0;
   std::optional<std::int64_t> ends_ns;  ///< as a pipe does
+  bool pipe = false;                    ///< cannot be opened anew
+  bool broken = false;                  ///< every stream fails at once
   std::vector<std::int64_t> attempts_ns;
 
   FakeCamera() { clock.advance(kStart_ns); }
@@ -49,7 +51,11 @@ struct FakeCamera {
       const std::int64_t until = camera_.clock.now_ns() + std::chrono::nanoseconds(timeout).count();
       while (true) {
         const std::int64_t now = camera_.clock.now_ns();
-        if (camera_.ends_ns && now >= *camera_.ends_ns) return std::nullopt;
+        if (camera_.ends_ns && now >= *camera_.ends_ns) {
+          if (camera_.broken) return fail(ErrorCode::io, "something else in between", "fake");
+          return std::nullopt;
+        }
+        if (camera_.broken && !camera_.ends_ns) return fail(ErrorCode::io, "breaks off", "fake");
         if (within(camera_.unplugged, now)) return fail(ErrorCode::io, "unplugged", "fake");
         const std::int64_t due = (now / kInterval_ns + 1) * kInterval_ns;
         if (due > until) {
@@ -68,6 +74,8 @@ struct FakeCamera {
     bool ended() const override {
       return camera_.ends_ns && camera_.clock.now_ns() >= *camera_.ends_ns;
     }
+
+    bool reopens() const override { return !camera_.pipe; }
 
    private:
     FakeCamera& camera_;
@@ -172,6 +180,54 @@ TEST(CameraSource, AStalledCameraIsBlindAndOpenedAnew) {
   EXPECT_LE(camera.opened, 5);
   EXPECT_EQ(second.pictures.back()->time_ns, 21'000'000'000);
   EXPECT_EQ(source->counts().interruptions, 2U);
+}
+
+// Its bytes go on where they stopped: a new reader would look for a beginning there.
+TEST(CameraSource, APipeThatStandsStillIsNotOpenedAnew) {
+  FakeCamera camera;
+  camera.pipe = true;
+  camera.stalled = {{2'000'000'000, 30'000'000'000}};
+  const auto source = camera.open();
+  const Seen seen = watch(*source, camera, 31'000'000'000);
+  EXPECT_EQ(camera.opened, 1);
+  EXPECT_GE(seen.blind.size(), 25U);
+  EXPECT_EQ(seen.pictures.back()->time_ns, 31'000'000'000);
+  EXPECT_EQ(source->counts().interruptions, 1U);
+}
+
+TEST(CameraSource, APipeThatIsBrokenIsAnError) {
+  FakeCamera camera;
+  camera.pipe = camera.broken = true;
+  camera.ends_ns = 2'000'000'000;
+  const auto source = camera.open();
+  Expected<FramePtr> frame = source->next();
+  while (frame && *frame) frame = source->next();
+  ASSERT_FALSE(frame);
+  EXPECT_THAT(frame.error().what, HasSubstr("something else"));
+}
+
+TEST(CameraSource, AStreamThatBreaksOffAgainAndAgainIsOpenedMoreAndMoreRarely) {
+  FakeCamera camera;
+  const auto source = camera.open();
+  (void)watch(*source, camera, 2'000'000'000);
+  camera.broken = true;
+  (void)watch(*source, camera, 62'000'000'000);
+  EXPECT_LE(camera.opened, 20);
+  camera.broken = false;
+  EXPECT_FALSE(watch(*source, camera, 70'000'000'000).pictures.empty());
+  EXPECT_EQ(source->counts().interruptions, 1U);
+}
+
+TEST(CameraSource, WhatWasOpenedLongBeforeBeginsAnew) {
+  FakeCamera camera;
+  CameraSourceOptions options;
+  options.duration_s = 5;
+  const auto source = camera.open(options);
+  camera.clock.advance(60'000'000'000);  // kernels are compiled
+  const Seen seen = watch(*source, camera, 80'000'000'000);
+  EXPECT_EQ(camera.opened, 2);
+  EXPECT_TRUE(seen.blind.empty());
+  EXPECT_NEAR(static_cast<double>(seen.pictures.size()), 100, 2) << "5 s of capture";
 }
 
 TEST(CameraSource, ASlowCameraDoesNotStall) {

@@ -100,6 +100,7 @@ TEST(Y4mStream, TornIntoBytesItIsTheSame) {
     EXPECT_EQ(grey_bytes(**capture), luma(i));
     EXPECT_EQ((*capture)->sequence, static_cast<std::uint64_t>(i));
     EXPECT_EQ((*capture)->time_ns, 7'000'000'000 + i * 50'000'000);
+    clock.advance(50'000'000);
     ++i;
   }
   EXPECT_FALSE((*stream)->next(1000ms, {}).value().has_value());
@@ -204,7 +205,7 @@ TEST(Y4mStream, TimesAreCountedAndBeginAnewAfterAPause) {
   // One that comes early shows that those before it were late.
   EXPECT_EQ(time_ns(), 4'540'000'000);
   clock.advance(40'000'000);
-  EXPECT_EQ(time_ns(), 4'573'366'666);
+  EXPECT_EQ(time_ns(), 4'573'366'667);
 }
 
 TEST(Y4mStream, TimesNeverRunAheadOfTheClock) {
@@ -409,9 +410,13 @@ TEST(Y4mStream, WhatCannotBeOpenedSaysSo) {
   EXPECT_EQ(open_y4m(request, clock).error().code, ErrorCode::not_found);
   request.device = folder.path();
   EXPECT_EQ(open_y4m(request, clock).error().code, ErrorCode::invalid_argument);
-  // What a pipe cannot be asked for is said.
   test::write_text(folder / "file.y4m", kMono + mono_frame(0));
   request.device = folder / "file.y4m";
+  EXPECT_THAT(open_y4m(request, clock).error().to_string(), HasSubstr("corvid replay"));
+  // What a pipe cannot be asked for is said.
+  PipedInput pipe;
+  pipe.write(kMono + mono_frame(0));
+  request = standard_input();
   request.width_px = 640;
   const auto stream = open_y4m(request, clock);
   ASSERT_TRUE(stream.has_value()) << stream.error().to_string();
