@@ -61,7 +61,7 @@ guest_line() {
     echo "vm: skipped: $(<"$root/build/vm/unavailable")"
     return 0
   fi
-  awk '/ vm\..* (Passed|Failed|\*\*\*)/ {
+  awk '/ Test +#[0-9]+: vm\..*(Passed|Failed|Timeout|Skipped|Not Run)/ {
       guests++
       if (!/Passed/) bad++
       for (i = NF; i > 1; i--) if ($i == "sec") { seconds += $(i - 1); break }
