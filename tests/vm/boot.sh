@@ -41,7 +41,7 @@ trap 'rm -rf "$exchange"' EXIT
 write_guest_script() {
   local module
   cat <<'GUEST'
-export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8 CORVID_VM=1 GTEST_COLOR=no
+export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/tmp LC_ALL=C.UTF-8 CORVID_VM=1 GTEST_COLOR=no
 finish() {
   echo "$1" >/run/vm/status.part
   mv /run/vm/status.part /run/vm/status

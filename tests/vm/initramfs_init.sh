@@ -16,13 +16,13 @@ options=trans=virtio,version=9p2000.L,msize=512000
 mount -t 9p -o "ro,$options,cache=loose" host_root /lower || stop "the host's root cannot be mounted"
 mount -t tmpfs -o size=75% tmpfs /upper
 mkdir /upper/changes /upper/work
-mount -t overlay -o lowerdir=/lower,upperdir=/upper/changes,workdir=/upper/work overlay /root ||
+mount -t overlay -o lowerdir=/lower,upperdir=/upper/changes,workdir=/upper/work overlay /newroot ||
   stop "no overlay over the host's root"
 for folder in dev proc sys; do
-  mkdir -p "/root/$folder"
-  mount --move "/$folder" "/root/$folder"
+  mkdir -p "/newroot/$folder"
+  mount --move "/$folder" "/newroot/$folder"
 done
-mount -t tmpfs tmpfs /root/run
-mkdir -p /root/run/vm
-mount -t 9p -o "rw,$options,cache=none" host_exchange /root/run/vm || stop "no exchange folder"
-exec switch_root /root /bin/bash /run/vm/guest.sh
+mount -t tmpfs tmpfs /newroot/run
+mkdir -p /newroot/run/vm
+mount -t 9p -o "rw,$options,cache=none" host_exchange /newroot/run/vm || stop "no exchange folder"
+exec switch_root /newroot /bin/bash /run/vm/guest.sh

@@ -106,7 +106,7 @@ unpack_kernel() {
 boot_modules=(virtio_pci virtio_mmio 9pnet_virtio 9p overlay)
 make_initramfs() {
   local root="$work/initramfs" file
-  mkdir -p "$root"/{bin,dev,proc,sys,modules,lower,upper,root}
+  mkdir -p "$root"/{bin,dev,proc,sys,modules,lower,upper,newroot}
   cp "$(command -v busybox)" "$root/bin/busybox"
   insmod_order "$folder/modules" "${boot_modules[@]}" >"$work/boot"
   while read -r file; do
