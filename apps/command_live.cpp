@@ -24,6 +24,7 @@
 #include "apps/service_notifier.h"
 #include "apps/signal_guard.h"
 #include "core/log.h"
+#include "core/source_decorator.h"
 #include "io/mavlink/mavlink_link.h"
 #include "io/options_file.h"
 #include "replay/async_recorder.h"
@@ -127,20 +128,17 @@ Expected<void> attach(const Arguments& arguments, FlightPlan& plan, Attached& at
 }
 
 /// Says when a source has ended.
-class EndingSource final : public FrameSource {
+class EndingSource final : public SourceDecorator {
  public:
   EndingSource(std::unique_ptr<FrameSource> source, std::function<void()> ended)
-      : source_(std::move(source)), ended_(std::move(ended)) {}
-  [[nodiscard]] const SourceInfo& info() const override { return source_->info(); }
+      : SourceDecorator(std::move(source)), ended_(std::move(ended)) {}
   [[nodiscard]] Expected<FramePtr> next(const std::stop_token& stop) override {
-    auto frame = source_->next(stop);
+    auto frame = SourceDecorator::next(stop);
     if (!frame || !*frame) ended_();
     return frame;
   }
-  [[nodiscard]] SourceCounts counts() const override { return source_->counts(); }
 
  private:
-  std::unique_ptr<FrameSource> source_;
   std::function<void()> ended_;
 };
 

@@ -17,7 +17,7 @@ install(FILES io/source.h io/calibration.h io/trajectory_file.h io/positions_fil
 install(FILES replay/synthetic_flight.h replay/player.h replay/recorder.h replay/recording.h
               replay/async_recorder.h
         DESTINATION ${CORVID_ROOM_HEADERS}/replay)
-install(FILES core/clock.h core/log.h DESTINATION ${CORVID_ROOM_HEADERS}/core)
+install(FILES core/check.h core/clock.h core/log.h core/source_decorator.h DESTINATION ${CORVID_ROOM_HEADERS}/core)
 target_include_directories(corvid_core INTERFACE $<INSTALL_INTERFACE:${CORVID_ROOM_HEADERS}>)
 install(TARGETS ${room_targets} corvid_draco corvid_opencv EXPORT corvid_targets
         ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})

@@ -191,9 +191,9 @@ std::optional<Error> AsyncRecorder::failure() const {
 }
 
 Expected<FramePtr> RecordedSource::next(const std::stop_token& stop) {
-  auto frame = source_->next(stop);
+  auto frame = SourceDecorator::next(stop);
   if (!frame || !*frame || !(*frame)->blind.empty()) return frame;
-  if (source_->info().paced) {
+  if (info().paced) {
     recorder_.push(*frame);
   } else {
     recorder_.push_waiting(*frame, stop);

@@ -12,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "core/source_decorator.h"
 #include "corvid/error.h"
 #include "corvid/ports.h"
 #include "io/recording_writer.h"
@@ -88,23 +89,15 @@ class AsyncRecorder {
 /// Hands every frame of a source (but no blind ones) to a recorder on the way to whoever asks for
 /// it. From a source that is paced (a camera) it never waits for the disk; from others, nothing is
 /// dropped.
-class RecordedSource final : public FrameSource {
+class RecordedSource final : public SourceDecorator {
  public:
   /// @param recorder  outlives it.
   RecordedSource(std::unique_ptr<FrameSource> source, AsyncRecorder& recorder)
-      : source_(std::move(source)), recorder_(recorder) {}
+      : SourceDecorator(std::move(source)), recorder_(recorder) {}
 
-  [[nodiscard]] const SourceInfo& info() const override { return source_->info(); }
   [[nodiscard]] Expected<FramePtr> next(const std::stop_token& stop = {}) override;
-  [[nodiscard]] SourceCounts counts() const override { return source_->counts(); }
-  [[nodiscard]] Trajectory truth() const override { return source_->truth(); }
-  [[nodiscard]] std::vector<PositionFix> positions() const override { return source_->positions(); }
-  [[nodiscard]] std::optional<TriangleMesh> true_surface() const override {
-    return source_->true_surface();
-  }
 
  private:
-  std::unique_ptr<FrameSource> source_;
   AsyncRecorder& recorder_;
 };
 

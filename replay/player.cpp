@@ -9,15 +9,14 @@
 namespace corvid {
 
 Player::Player(std::unique_ptr<FrameSource> source, Clock& clock, std::optional<double> rate)
-    : source_(std::move(source)), clock_(clock), rate_(rate) {
-  CORVID_CHECK(source_ != nullptr, "there is nothing to play");
+    : SourceDecorator(std::move(source)), clock_(clock), rate_(rate) {
   CORVID_CHECK(!rate_ || (*rate_ > 0 && std::isfinite(*rate_)), "the rate must be positive");
-  info_ = source_->info();
+  info_ = SourceDecorator::info();
   info_.paced = info_.paced || rate_.has_value();
 }
 
 Expected<FramePtr> Player::next(const std::stop_token& stop) {
-  auto frame = source_->next(stop);
+  auto frame = SourceDecorator::next(stop);
   if (!rate_ || !frame || !*frame) return frame;
   const std::int64_t capture_ns = (*frame)->time_ns, now_ns = clock_.now_ns();
   if (!anchor_) anchor_ = Anchor{now_ns, capture_ns};

@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "core/clock.h"
+#include "core/source_decorator.h"
 #include "corvid/ports.h"
 
 namespace corvid {
@@ -15,7 +16,7 @@ namespace corvid {
 /// later on the clock. A consumer that is late gets the frames that are overdue without waiting;
 /// it is the engine that drops them and counts it, because info().paced is true. A frame whose
 /// time goes back is given at once. Without a rate nothing is paced and nothing dropped.
-class Player final : public FrameSource {
+class Player final : public SourceDecorator {
  public:
   /// @param source  taken over.
   /// @param clock   outlives the player.
@@ -25,18 +26,11 @@ class Player final : public FrameSource {
 
   [[nodiscard]] const SourceInfo& info() const override { return info_; }
   [[nodiscard]] Expected<FramePtr> next(const std::stop_token& stop = {}) override;
-  [[nodiscard]] SourceCounts counts() const override { return source_->counts(); }
-  [[nodiscard]] Trajectory truth() const override { return source_->truth(); }
-  [[nodiscard]] std::vector<PositionFix> positions() const override { return source_->positions(); }
-  [[nodiscard]] std::optional<TriangleMesh> true_surface() const override {
-    return source_->true_surface();
-  }
 
  private:
   struct Anchor {
     std::int64_t clock_ns, capture_ns;
   };
-  std::unique_ptr<FrameSource> source_;
   Clock& clock_;
   std::optional<double> rate_;
   SourceInfo info_;

@@ -3,20 +3,8 @@
 # Exit code 77 (skipped, with the reason) where npm or its registry cannot be reached.
 set -eu
 source_dir=$1 work_dir=$2 sample_program=$3
-if ! command -v npm >/dev/null 2>&1; then
-  echo "SKIPPED: npm is absent (package npm)"
-  exit 77
-fi
-mkdir -p "$work_dir"
-cp "$source_dir/package.json" "$source_dir/package-lock.json" "$source_dir/check_packets.mjs" "$work_dir/"
-cd "$work_dir"
-if ! cmp -s package-lock.json node_modules/.corvid-lock.json 2>/dev/null; then
-  if ! npm ci --no-audit --no-fund --ignore-scripts; then
-    echo "SKIPPED: npm ci failed; is the npm registry reachable?"
-    exit 77
-  fi
-  cp package-lock.json node_modules/.corvid-lock.json
-fi
+. "$source_dir/../npm_packages.sh"
+npm_packages "$source_dir" "$work_dir"
 "$sample_program" write ours.bin ours.json
 node check_packets.mjs read ours.bin ours.json
 node check_packets.mjs write theirs.bin theirs-v1.bin
