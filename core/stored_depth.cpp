@@ -9,12 +9,11 @@
 namespace corvid {
 
 struct StoredDepth::Shared {
-  explicit Shared(DepthMap map) : bare(map) {
+  explicit Shared(DepthMap map) : bare{map.keyframe, map.camera, map.T_world_camera, {}, {}} {
     depth_bytes = map.depth.size() * sizeof(float);
     confidence_bytes = map.confidence.size() * sizeof(float);
     depth_width = map.depth.width();
     confidence_width = map.confidence.width();
-    bare.depth = bare.confidence = {};
     images = std::make_shared<const DepthMap>(std::move(map));
   }
   ~Shared() {

@@ -107,7 +107,8 @@ StillDepth depth_of(Stills& stills, std::size_t i) {
   out.map.keyframe = stills.keyframes[i]->id;
   out.map.T_world_camera = stills.poses[i];
   const auto refuse = [&](std::string reason) {
-    out.map.depth = out.map.confidence = {};
+    out.map.depth = {};
+    out.map.confidence = {};
     out.refusal = std::move(reason);
     return out;
   };
