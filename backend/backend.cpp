@@ -17,6 +17,7 @@ constexpr int kMaxLostFrames = 15;     ///< then a new segment starts
 constexpr double kMinShare = 0.2;      ///< of the landmarks must agree with a pose
 constexpr double kGoodShare = 0.4;     ///< fewer: degraded
 constexpr double kSurelyWrong = 0.99;  ///< probability that makes a calibration a wrong one
+constexpr int kRestingWindows = 3;     ///< windows after which a keyframe may rest
 constexpr int kMaxStrikes = 3;         ///< frames in a row in which a track may disagree
 
 /// Factor on the covariance of a pose that rests on a small part of what is tracked: when the world
@@ -320,8 +321,18 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
   adjust_newest();
   learn_focal();
   map.forget_tracks(k - options.window_keyframes);
+  rest_on_known_ground(k);
   lap("backend/adjust");
   publish_map();
+}
+
+/// The keyframe that left the window long ago rests, if the ground was known before it came.
+void Backend::Impl::rest_on_known_ground(int newest) {
+  const int long_ago = kRestingWindows * options.window_keyframes;
+  const int k = newest - long_ago;
+  if (k < 0) return;
+  if (const auto host = known_view(map, k, k - long_ago))
+    rest(map, k, *host, newest - options.window_keyframes);
 }
 
 /// Window adjustment around the newest keyframe.

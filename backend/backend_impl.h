@@ -12,6 +12,7 @@
 #include "backend/places.h"
 #include "backend/pose_doubt.h"
 #include "backend/resect.h"
+#include "backend/rest.h"
 #include "backend/start.h"
 #include "backend/window.h"
 #include "core/stopwatch.h"
@@ -42,6 +43,7 @@ struct Backend::Impl {
   void learn_focal();
   void insert_keyframe(const FrameTracks& tracks, const std::vector<TrackId>& outliers,
                        const Resection& r);
+  void rest_on_known_ground(int newest);
   [[nodiscard]] Drift drift_of(const Resection& r) const;
   [[nodiscard]] Sighting sight(const FrameTracks& tracks) const;
   /// A pose that no image has told.

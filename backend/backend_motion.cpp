@@ -22,6 +22,7 @@ std::optional<Backend::Impl::Foretold> Backend::Impl::predict(std::int64_t time_
   if (measured.size() < 2) return Foretold{newest, {}};
   const auto step_ns = static_cast<double>(measured[0]->time_ns - measured[1]->time_ns);
   const auto ahead_ns = static_cast<double>(time_ns - measured[0]->time_ns);
+  if (!(step_ns > 0)) return Foretold{newest, {}};
   const Vector6d motion = (pose_of(*measured[1]).inverse() * newest).log() * (ahead_ns / step_ns);
   constexpr double kMostSteps = 3;
   return Foretold{ahead_ns > kMostSteps * step_ns ? newest : newest * Pose::exp(motion), motion};

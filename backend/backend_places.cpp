@@ -40,7 +40,9 @@ void Backend::Impl::recognise(const PlaceMatch& match) {
   const PlacePose place = place_pose(map, fused, match, options);
   std::string refusal = place.refusal;
   bool changed = false;
-  if (place.ok && in_map != map.keyframes.rend()) {
+  if (place.ok && in_map != map.keyframes.rend() && in_map->host) {
+    refusal = "the keyframe rests by now";
+  } else if (place.ok && in_map != map.keyframes.rend()) {
     const int k = static_cast<int>(map.keyframes.rend() - in_map) - 1;
     const int segment_of_query = map.keyframes[static_cast<std::size_t>(k)].segment;
     const PlaceOutcome outcome = recognise_keyframe(map, frames, fused, k, place, options, threads);

@@ -121,7 +121,7 @@ LoopGraph loop_graph(const MapData& map, int query, int reference, const Sim3& T
   const int segment = map.keyframes[static_cast<std::size_t>(query)].segment;
   std::vector<int> node_of(map.keyframes.size(), -1);
   for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
-    if (map.keyframes[k].segment != segment) continue;
+    if (map.keyframes[k].segment != segment || map.keyframes[k].host) continue;
     node_of[k] = static_cast<int>(out.keyframes.size());
     out.keyframes.push_back(static_cast<int>(k));
     graph.T_world_node.push_back(as_similarity(map.keyframes[k].T_world_camera));

@@ -41,6 +41,12 @@ struct PositionPrior {
   Eigen::Matrix3d sqrt_information = Eigen::Matrix3d::Zero();
 };
 
+/// The keyframe that another one, which rests, moves with.
+struct RestingPlace {
+  int keyframe = 0;
+  Pose T_host_this;
+};
+
 struct MapKeyframe {
   StoredFramePtr frame;
   int segment = 0;
@@ -49,6 +55,7 @@ struct MapKeyframe {
   FocalEstimate focal;                        ///< what the window says that ended here
   std::vector<TrackId> tracks;                ///< ascending; those with a view here or once had
   std::optional<PositionPrior> position;      ///< set by MapPositions
+  std::optional<RestingPlace> host;           ///< set where it rests: it sees nothing any more
   std::shared_ptr<const Keyframe> published;  ///< null if it sees something else since
   /// Landmarks that got another id since: first -> second, in this order.
   std::vector<std::pair<TrackId, TrackId>> renamed;

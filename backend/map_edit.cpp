@@ -110,8 +110,16 @@ int guess_points(MapData& map, int query, const PlacePose& place,
 }
 
 void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
-                    const std::vector<Sim3>& T_world_keyframe) {
+                    std::vector<Sim3> T_world_keyframe) {
   CORVID_CHECK(T_world_keyframe.size() == map.keyframes.size(), "one similarity per keyframe");
+  for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
+    auto& host = map.keyframes[k].host;
+    if (!host) continue;
+    const Sim3& T_world_host = T_world_keyframe[static_cast<std::size_t>(host->keyframe)];
+    T_world_keyframe[k] = T_world_host * as_similarity(host->T_host_this);
+    host->T_host_this = {host->T_host_this.rotation(),
+                         T_world_host.scale() * host->T_host_this.translation()};
+  }
   std::vector<std::optional<Sim3>> T_new_old;  // of keyframes that move
   for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
     const Pose& T = map.keyframes[k].T_world_camera;

@@ -26,11 +26,12 @@ int connect_place(MapData& map, int query, const PlacePose& place,
 int guess_points(MapData& map, int query, const PlacePose& place,
                  std::span<const TrackObservation> observations, const FusedTracks& fused);
 
-/// Moves keyframes; landmarks follow the keyframe in the middle of their views, frames theirs.
+/// Moves keyframes; landmarks follow the keyframe in the middle of their views, frames theirs, and
+/// keyframes that rest their hosts.
 /// @param T_world_keyframe  one per keyframe of the map: where it shall be, and its own unit of
 ///                          length; the landmarks it sees are scaled by it.
 void move_keyframes(MapData& map, std::vector<FrameRecord>& frames,
-                    const std::vector<Sim3>& T_world_keyframe);
+                    std::vector<Sim3> T_world_keyframe);
 
 /// Keyframes of segment `from` become part of segment `to`, moved by T_to_from.
 /// @param query, at_query  the keyframe of `from` at which they meet, and its drift

@@ -83,7 +83,8 @@ PlacePose place_pose(const MapData& map, const FusedTracks& fused, const PlaceMa
     own.add(map, fused, reference);
     if (own.points.size() > most) {
       most = own.points.size();
-      place.reference = static_cast<int>(*k);
+      const auto& host = map.keyframes[*k].host;  // it may have come to rest since
+      place.reference = host ? host->keyframe : static_cast<int>(*k);
     }
     alone.push_back(resect(map.camera, own.points, std::nullopt, settings));
     views.push_back(std::move(own));

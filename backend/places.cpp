@@ -40,8 +40,9 @@ double fitting(const MapData& map, const PlacePose& place, const Pose& T_world_q
   return static_cast<double>(fits) / static_cast<double>(place.inliers.size());
 }
 
-/// Whether anything was followed from one keyframe to the other.
+/// Whether anything was followed from one keyframe to the other: to one that rests, it was.
 bool share_tracks(const MapKeyframe& a, const MapKeyframe& b) {
+  if (a.host || b.host) return true;
   return std::any_of(a.tracks.begin(), a.tracks.end(), [&](TrackId id) {
     return std::binary_search(b.tracks.begin(), b.tracks.end(), id);
   });

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "backend/bundle.h"
+#include "backend/rest.h"
 #include "core/check.h"
 #include "core/log.h"
 #include "core/stopwatch.h"
@@ -125,6 +126,7 @@ void write_back(MapData& map, const Part& part, bool camera_changed) {
     part.tracks[i]->p_world = part.problem.points[i];
     map.stale_landmarks.insert(chunk_of(part.ids[i]));
   }
+  follow_hosts(map);
   if (camera_changed) map.set_camera(part.problem.camera);
 }
 

@@ -356,7 +356,7 @@ void Engine::Impl::Run::finish(bool interrupted, const std::stop_token& stop) {
     const MapperStatistics statistics = mapper->statistics();
     result.notes.push_back(fmt::format(
         "Mapping: {} depth maps ({:.0f} % of the rays answered), {} keyframes without an "
-        "answer, {} too near to the one before, {} fused anew after their pose moved, {} "
+        "answer, {} that show what was mapped before, {} fused anew after their pose moved, {} "
         "voxel blocks, {} of them in memory.",
         statistics.depth_maps, 100 * statistics.answered, statistics.without_depth,
         statistics.skipped, statistics.refusions, statistics.blocks, statistics.blocks_in_memory));

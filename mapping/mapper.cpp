@@ -23,6 +23,8 @@ namespace {
 constexpr std::size_t kNewerKeyframes = 2;  ///< that a keyframe waits for
 constexpr double kSkipBaseline = 0.02;      ///< share of the median depth
 constexpr double kSkipRotation_rad = 0.09;  ///< about 5 degrees
+constexpr double kKnownBaseline = 0.05;     ///< instead of kSkipBaseline, of much older keyframes
+constexpr std::uint32_t kMuchOlder = 30;    ///< keyframes
 constexpr double kRangeMargin = 1.5;        ///< beyond the landmarks' depths, either way
 constexpr double kRefuseMotion_vox = 0.5;   ///< of points at the median depth
 constexpr double kMinAnswered = 0.02;       ///< share of rays under which depth is no depth
@@ -170,8 +172,13 @@ struct Mapper::Impl {
   void map_keyframe(const MapSnapshot& map, std::size_t index, int segment) {
     const Keyframe& keyframe = *map.keyframes[index];
     last_tried = keyframe.id;
+    if (keyframe.observations.empty()) {  // it rests: the backend knows the view
+      ++counts.skipped;
+      return;
+    }
     const auto scene = scene_depth(map, keyframe);
-    if (scene && is_near_last(map, keyframe, scene->median)) {
+    if (scene && (is_near_last(map, keyframe, scene->median) ||
+                  is_known(keyframe, segment, scene->median))) {
       ++counts.skipped;
       return;
     }
@@ -198,9 +205,23 @@ struct Mapper::Impl {
     const auto last = last_mapped.find(keyframe.segment);
     if (last == last_mapped.end()) return false;
     const Keyframe* other = find(map, last->second);
-    if (!other) return false;
-    const Pose &a = keyframe.T_world_camera, &b = other->T_world_camera;
-    return (a.translation() - b.translation()).norm() < kSkipBaseline * median_depth &&
+    return other &&
+           is_near(keyframe.T_world_camera, other->T_world_camera, kSkipBaseline * median_depth);
+  }
+
+  /// Whether the surface is there as it was seen from nearly the same place long ago: then a flight
+  /// over known ground costs no depth maps.
+  bool is_known(const Keyframe& keyframe, int segment, double median_depth) const {
+    if (keyframe.segment != segment) return false;
+    return std::any_of(mapped.all().begin(), mapped.all().end(), [&](const auto& known) {
+      return known.first.value + kMuchOlder < keyframe.id.value && known.second.fused &&
+             is_near(keyframe.T_world_camera, known.second.fused->T_world_camera,
+                     kKnownBaseline * median_depth);
+    });
+  }
+
+  static bool is_near(const Pose& a, const Pose& b, double distance) {
+    return (a.translation() - b.translation()).norm() < distance &&
            rotation_between(a, b) < kSkipRotation_rad;
   }
 

@@ -19,7 +19,7 @@ namespace corvid {
 struct MapperStatistics {
   std::uint64_t depth_maps = 0;        ///< keyframes with depth
   std::uint64_t without_depth = 0;     ///< tried, but too few neighbours or answers
-  std::uint64_t skipped = 0;           ///< too near to the keyframe mapped before
+  std::uint64_t skipped = 0;           ///< seen from as near by: the one mapped before, or long ago
   std::uint64_t refusions = 0;         ///< keyframes taken out and put back in at a new pose
   std::uint64_t refits = 0;            ///< times the volume started again with another voxel size
   std::uint64_t blocks = 0;            ///< voxel blocks there are now

@@ -132,6 +132,38 @@ TEST_F(Places, ALoopCloses) {
   EXPECT_EQ(backend->places().loops + backend->places().connections, 2);
 }
 
+/// Laps over the same ground, always recognised: what is new on them is not kept.
+TEST_F(Places, LapsOverKnownGroundDoNotMakeTheMapGrow) {
+  constexpr int kLaps = 5, kLap = 200;
+  test::Simulation s = round_flight();
+  s.path = [](double t) { return round_path()(kLaps * t); };
+  s.frames = kLaps * kLap;
+  start(s);
+  std::vector<std::size_t> observations;
+  for (int i = 0; i < s.frames; ++i) {
+    add(static_cast<std::size_t>(i));
+    ASSERT_TRUE(i < 60 || event.state == TrackingState::tracking) << i << ' ' << event.reason;
+    const int seen_before = i % kLap / s.keyframe_every * s.keyframe_every;
+    if (i > kLap && i % (3 * s.keyframe_every) == 0 && backend->place_query())
+      backend->recognise(
+          {flight.frames[last_query()].frame->id,
+           {look_up(*backend, flight, last_query(), static_cast<std::size_t>(seen_before))}});
+    if (i % kLap != kLap - 1) continue;
+    observations.push_back(0);
+    for (const auto& keyframe : backend->map()->keyframes)
+      observations.back() += keyframe->observations.size();
+    std::printf("%zu observations, %zu landmarks\n", observations.back(),
+                backend->map()->landmarks.size());
+  }
+  EXPECT_GT(backend->places().connections, 20);
+  // The newest keyframes of a lap are still at work.
+  EXPECT_LT(static_cast<double>(observations.back()), 1.1 * static_cast<double>(observations[1]));
+  const test::Ate ate = test::absolute_error(backend->trajectory(), flight);
+  std::printf("ATE %.5f of %.1f\n", ate.rmse(), kLaps * 43.0);
+  EXPECT_EQ(ate.poses, flight.frames.size());
+  EXPECT_LT(ate.rmse(), 0.02);
+}
+
 TEST_F(Places, AWallThatRepeatsItselfIsNoLoop) {
   start(round_flight());
   for (std::size_t i = 0; i + 20 < flight.frames.size(); ++i) add(i);

@@ -192,6 +192,34 @@ TEST(Mapper, TheSurfaceFollowsTheKeyframes) {
   EXPECT_LT(median_error_vox(mapper->mesh(), mapper->voxel_size()), 0.5);
 }
 
+/// The same keyframes once more, long after, from beside where they were.
+MapSnapshot with_another_lap(const MapSnapshot& map, double beside) {
+  MapSnapshot out = map;
+  ++out.version;
+  for (const auto& keyframe : map.keyframes) {
+    auto again = std::make_shared<Keyframe>(*keyframe);
+    again->id = KeyframeId(keyframe->id.value + 100);
+    again->T_world_camera = {again->T_world_camera.rotation(),
+                             again->T_world_camera.translation() + Eigen::Vector3d(0, beside, 0)};
+    out.keyframes.push_back(again);
+  }
+  return out;
+}
+
+TEST(Mapper, KnownGroundIsNotMappedAgain) {
+  auto mapper = make_mapper();
+  mapper->finish(room_map());
+  ASSERT_EQ(mapper->statistics().depth_maps, 7U);
+  const MapSnapshot again = with_another_lap(room_map(), 0.05);
+  mapper->finish(again);
+  EXPECT_EQ(mapper->statistics().depth_maps, 7U);
+  EXPECT_EQ(mapper->statistics().skipped, 7U);
+  auto other = make_mapper();
+  other->finish(room_map());
+  other->finish(with_another_lap(room_map(), 0.6));
+  EXPECT_EQ(other->statistics().skipped, 0U) << "a view from elsewhere is new";
+}
+
 MapSnapshot scaled(const MapSnapshot& map, double scale, std::size_t keyframes) {
   MapSnapshot out = map;
   out.keyframes.resize(keyframes);
