@@ -134,7 +134,11 @@ std::string run_section(const ReportFacts& facts) {
 
 }  // namespace
 
-std::string report_html(const ReportFacts& facts) {
+std::string report_pictures(const ReportFacts& facts) {
+  return mesh_section(facts) + depth_section(facts);
+}
+
+std::string report_html(const ReportFacts& facts, const std::string& pictures) {
   const RunResult& result = facts.input.result;
   const std::string title = html_escape(title_of(result));
   std::string body;
@@ -163,8 +167,7 @@ std::string report_html(const ReportFacts& facts) {
   body += trajectory_section(facts);
   body += truth_section(facts);
   body += tracking_section(facts);
-  body += mesh_section(facts);
-  body += depth_section(facts);
+  body += pictures;
   body += map_section(facts);
   body += timing_section(facts);
   body += frames_section(facts);

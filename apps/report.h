@@ -26,8 +26,12 @@ struct ReportFacts {
   std::vector<ReportFile> files;
 };
 
+/// Mesh and depth maps with their pictures, for report_html(). Needs no `colmap` and no `files`, so
+/// that it can be drawn while these are written.
+[[nodiscard]] std::string report_pictures(const ReportFacts& facts);
 /// One self-contained page: inline style, SVG plots, pictures as data; no script, no request.
-[[nodiscard]] std::string report_html(const ReportFacts& facts);
+/// @param pictures  report_pictures().
+[[nodiscard]] std::string report_html(const ReportFacts& facts, const std::string& pictures);
 
 /// The same numbers, schema in docs/formats.md.
 [[nodiscard]] std::string report_json(const ReportFacts& facts);

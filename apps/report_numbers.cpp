@@ -123,22 +123,16 @@ RunNumbers count_run(const RunResult& result) {
 
   n.segments = static_cast<int>(segments.size());
 
-  std::size_t pixels = 0, answers = 0;
-  double confidence = 0;
+  DepthAnswers answers;
   for (const StoredDepth& stored : result.depth_maps) {
     ++n.depth_maps;
-    const auto loaded = stored.scaled();
-    const DepthMap& map = *loaded;
-    pixels += map.depth.size();
-    const bool rated = map.confidence.size() == map.depth.size();
-    for (std::size_t i = 0; i < map.depth.size(); ++i) {
-      if (!(map.depth.data()[i] > 0)) continue;
-      ++answers;
-      if (rated) confidence += map.confidence.data()[i];
-    }
+    answers.pixels += stored.answers().pixels;
+    answers.answered += stored.answers().answered;
+    answers.confidence += stored.answers().confidence;
   }
-  if (pixels > 0) n.depth_coverage = static_cast<double>(answers) / static_cast<double>(pixels);
-  if (answers > 0) n.depth_confidence = confidence / static_cast<double>(answers);
+  const auto answered = static_cast<double>(answers.answered);
+  if (answers.pixels > 0) n.depth_coverage = answered / static_cast<double>(answers.pixels);
+  if (answers.answered > 0) n.depth_confidence = answers.confidence / answered;
 
   n.vertices = result.mesh.vertices.size();
   n.triangles = result.mesh.triangles.size();

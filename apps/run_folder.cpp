@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <future>
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <system_error>
@@ -118,7 +119,11 @@ bool has_images(const MapSnapshot& map) {
 /// Every file but run.json and report.html; what was written, for the report's list.
 class FolderWriter {
  public:
-  FolderWriter(const RunReportInput& input, fs::path dir) : input_(input), dir_(std::move(dir)) {}
+  FolderWriter(const RunReportInput& input, fs::path dir)
+      : options_yaml(
+            fmt::format("# corvid {}\n{}", input.version, options_to_yaml(input.result.options))),
+        input_(input),
+        dir_(std::move(dir)) {}
 
   Expected<void> write() {
     const RunResult& result = input_.result;
@@ -152,7 +157,6 @@ class FolderWriter {
         return fault_;
       }
     }
-    options_yaml = fmt::format("# corvid {}\n{}", input_.version, options_to_yaml(result.options));
     done("options.yaml", "the resolved options; give it to --options to fly the same way",
          write_file_atomically(dir_ / "options.yaml", options_yaml));
     return fault_;
@@ -160,7 +164,7 @@ class FolderWriter {
 
   std::vector<ReportFile> files;
   std::vector<ColmapModel> colmap;
-  std::string options_yaml;
+  const std::string options_yaml;
 
  private:
   bool write_surface(RunSurface surface, const std::string& what, const TriangleMesh& mesh,
@@ -216,15 +220,19 @@ Expected<void> write_run_folder(const RunReportInput& input, const fs::path& dir
   auto folder = AtomicFolder::create(dir, kMarker);
   if (!folder) return tl::unexpected(folder.error());
   FolderWriter writer(input, folder->path());
+  ReportFacts facts{input, count_run(input.result), machine_info(), writer.options_yaml, {}, {}};
+  // A service that is stopped has seconds: draw while the mesh is compressed.
+  auto pictures = std::async(std::launch::async, [&facts] { return report_pictures(facts); });
   if (auto ok = writer.write(); !ok) return ok;
-  writer.files.push_back({"run.json", "every number of this report", 0});
-  ReportFacts facts{input,          count_run(input.result),
-                    machine_info(), writer.options_yaml,
-                    writer.colmap,  writer.files};
+  facts.colmap = writer.colmap;
+  facts.files = std::move(writer.files);
+  facts.files.push_back({"run.json", "every number of this report", 0});
   const std::string json = report_json(facts);
   facts.files.back().bytes = json.size();
   if (auto ok = write_file_atomically(folder->path() / kMarker, json); !ok) return ok;
-  if (auto ok = write_file_atomically(folder->path() / "report.html", report_html(facts)); !ok) {
+  if (auto ok =
+          write_file_atomically(folder->path() / "report.html", report_html(facts, pictures.get()));
+      !ok) {
     return ok;
   }
   return folder->commit();

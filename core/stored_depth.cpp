@@ -8,8 +8,25 @@
 
 namespace corvid {
 
+namespace {
+
+DepthAnswers count_answers(const DepthMap& map) {
+  DepthAnswers out;
+  out.pixels = map.depth.size();
+  const bool rated = map.confidence.size() == map.depth.size();
+  for (std::size_t i = 0; i < map.depth.size(); ++i) {
+    if (!(map.depth.data()[i] > 0)) continue;
+    ++out.answered;
+    if (rated) out.confidence += map.confidence.data()[i];
+  }
+  return out;
+}
+
+}  // namespace
+
 struct StoredDepth::Shared {
-  explicit Shared(DepthMap map) : bare{map.keyframe, map.camera, map.T_world_camera, {}, {}} {
+  explicit Shared(DepthMap map)
+      : bare{map.keyframe, map.camera, map.T_world_camera, {}, {}}, answers(count_answers(map)) {
     depth_bytes = map.depth.size() * sizeof(float);
     confidence_bytes = map.confidence.size() * sizeof(float);
     depth_width = map.depth.width();
@@ -64,6 +81,7 @@ struct StoredDepth::Shared {
 
   std::mutex mutex;
   DepthMap bare;  // all but the images
+  const DepthAnswers answers;
   std::size_t depth_bytes, confidence_bytes;
   int depth_width, confidence_width;
   std::shared_ptr<const DepthMap> images;  // null: in the archive
@@ -99,6 +117,8 @@ Expected<void> StoredDepth::put_away(const std::shared_ptr<Archive>& archive) co
 std::size_t StoredDepth::image_bytes() const {
   return shared_->depth_bytes + shared_->confidence_bytes;
 }
+
+const DepthAnswers& StoredDepth::answers() const { return shared_->answers; }
 
 bool StoredDepth::in_memory() const {
   const std::lock_guard lock(shared_->mutex);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <set>
 #include <unordered_map>
@@ -15,48 +16,30 @@ constexpr int kSide = VoxelBlock::kSide;
 /// A crossing stays this far from the ends of its edge, so that no two vertices coincide.
 constexpr float kMinFraction = 0.01F;
 
-/// The voxels of a block with one more below and two more above on each axis: what its cells and
-/// the central differences at their corners need.
+/// The voxels of a block and of those around it; p in [-8, 15].
 class Neighbourhood {
  public:
-  static constexpr int kWidth = kSide + 3;
-
-  Neighbourhood(const VoxelBlocks& volume, const BlockIndex& index, std::uint32_t min_weight) {
-    std::array<const VoxelBlock*, 27> blocks{};
+  Neighbourhood(const VoxelBlocks& volume, const BlockIndex& index, std::uint32_t min_weight)
+      : min_weight_(min_weight) {
     for (int i = 0; i < 27; ++i) {
-      blocks[static_cast<std::size_t>(i)] =
+      blocks_[static_cast<std::size_t>(i)] =
           volume.find({index.x + i % 3 - 1, index.y + i / 3 % 3 - 1, index.z + i / 9 - 1});
-    }
-    const auto split = [](int v) { return std::pair{v < 0 ? 0 : v < kSide ? 1 : 2, v & 7}; };
-    for (int z = -1; z < kWidth - 1; ++z) {
-      for (int y = -1; y < kWidth - 1; ++y) {
-        for (int x = -1; x < kWidth - 1; ++x) {
-          const auto [bx, vx] = split(x);
-          const auto [by, vy] = split(y);
-          const auto [bz, vz] = split(z);
-          const VoxelBlock* block = blocks[static_cast<std::size_t>(bx + 3 * by + 9 * bz)];
-          const Voxel* voxel =
-              block ? &block->voxels[static_cast<std::size_t>(VoxelBlock::offset(vx, vy, vz))]
-                    : nullptr;
-          const std::size_t at = offset(x, y, z);
-          voxels_[at] = voxel && voxel->sum_weight >= min_weight ? voxel : nullptr;
-          if (voxels_[at]) {
-            distances_[at] =
-                static_cast<float>(voxel->sum_distance) / static_cast<float>(voxel->sum_weight);
-          }
-        }
-      }
     }
   }
 
   /// nullptr if not observed.
   [[nodiscard]] const Voxel* voxel(const Eigen::Vector3i& p) const {
-    return voxels_[offset(p.x(), p.y(), p.z())];
+    const auto block = [](int v) { return v < 0 ? 0 : v < kSide ? 1 : 2; };
+    const VoxelBlock* in =
+        blocks_[static_cast<std::size_t>(block(p.x()) + 3 * block(p.y()) + 9 * block(p.z()))];
+    if (!in) return nullptr;
+    const Voxel& voxel = in->voxels[static_cast<std::size_t>(
+        VoxelBlock::offset(p.x() & (kSide - 1), p.y() & (kSide - 1), p.z() & (kSide - 1)))];
+    return voxel.sum_weight >= min_weight_ ? &voxel : nullptr;
   }
-  [[nodiscard]] float distance(const Eigen::Vector3i& p) const {
-    return distances_[offset(p.x(), p.y(), p.z())];
-  }
-  /// Central differences, one-sided at the edge of what was observed. p in [0, 8].
+  /// @pre it was observed.
+  [[nodiscard]] float distance(const Eigen::Vector3i& p) const { return distance(*voxel(p)); }
+  /// Central differences, one-sided at the edge of what was observed. @pre p was.
   [[nodiscard]] Eigen::Vector3f gradient(const Eigen::Vector3i& p) const {
     Eigen::Vector3f g = Eigen::Vector3f::Zero();
     for (int axis = 0; axis < 3; ++axis) {
@@ -72,11 +55,46 @@ class Neighbourhood {
   }
 
  private:
-  static std::size_t offset(int x, int y, int z) {
-    return static_cast<std::size_t>((x + 1) + kWidth * ((y + 1) + kWidth * (z + 1)));
+  static float distance(const Voxel& voxel) {
+    return static_cast<float>(voxel.sum_distance) / static_cast<float>(voxel.sum_weight);
   }
-  std::array<const Voxel*, kWidth * kWidth * kWidth> voxels_;
-  std::array<float, kWidth * kWidth * kWidth> distances_;
+  std::uint32_t min_weight_;
+  std::array<const VoxelBlock*, 27> blocks_{};
+};
+
+/// Which corners of a block's cells were observed, and which lie inside: bit x of row (y, z).
+class CornerBits {
+ public:
+  explicit CornerBits(const Neighbourhood& grid) {
+    for (int z = 0; z <= kSide; ++z) {
+      for (int y = 0; y <= kSide; ++y) {
+        for (int x = 0; x <= kSide; ++x) {
+          const Voxel* voxel = grid.voxel({x, y, z});
+          if (!voxel) continue;
+          observed_[row(y, z)] |= 1U << x;
+          if (voxel->sum_distance < 0) inside_[row(y, z)] |= 1U << x;
+        }
+      }
+    }
+  }
+  /// Bit x: the cell whose lowest corner is (x, y, z) was observed and the surface runs through it.
+  [[nodiscard]] unsigned crossed(int y, int z) const {
+    unsigned observed = ~0U, all = ~0U, any = 0;
+    for (const std::size_t r : {row(y, z), row(y + 1, z), row(y, z + 1), row(y + 1, z + 1)}) {
+      observed &= observed_[r];
+      all &= inside_[r];
+      any |= inside_[r];
+    }
+    const auto both = [](unsigned bits) { return bits & bits >> 1; };
+    return both(observed) & (any | any >> 1) & ~both(all) & ((1U << kSide) - 1);
+  }
+  [[nodiscard]] bool inside(const Eigen::Vector3i& corner) const {
+    return (inside_[row(corner.y(), corner.z())] >> corner.x() & 1U) != 0;
+  }
+
+ private:
+  static std::size_t row(int y, int z) { return static_cast<std::size_t>(y + (kSide + 1) * z); }
+  std::array<unsigned, (kSide + 1) * (kSide + 1)> observed_{}, inside_{};
 };
 
 /// Name of a grid edge, the same in every block: where its vertex is.
@@ -120,9 +138,11 @@ class BlockMesher {
 
   void add(const BlockIndex& index) {
     const Neighbourhood grid(volume_, index, options_.min_weight);
+    const CornerBits corners(grid);
     for (int z = 0; z < kSide; ++z) {
       for (int y = 0; y < kSide; ++y) {
-        for (int x = 0; x < kSide; ++x) add_cell(grid, index, {x, y, z});
+        for (unsigned cells = corners.crossed(y, z); cells != 0; cells &= cells - 1)
+          add_cell(grid, corners, index, {std::countr_zero(cells), y, z});
       }
     }
   }
@@ -132,13 +152,10 @@ class BlockMesher {
     return cell + Eigen::Vector3i(c & 1, c >> 1 & 1, c >> 2 & 1);
   }
 
-  void add_cell(const Neighbourhood& grid, const BlockIndex& index, const Eigen::Vector3i& cell) {
+  void add_cell(const Neighbourhood& grid, const CornerBits& corners, const BlockIndex& index,
+                const Eigen::Vector3i& cell) {
     unsigned inside = 0;
-    for (int c = 0; c < 8; ++c) {
-      const Eigen::Vector3i p = corner(cell, c);
-      if (!grid.voxel(p)) return;
-      if (grid.distance(p) < 0) inside |= 1U << c;
-    }
+    for (int c = 0; c < 8; ++c) inside |= (corners.inside(corner(cell, c)) ? 1U : 0U) << c;
     for (const auto& triangle : cell_triangles(static_cast<std::uint8_t>(inside))) {
       std::array<std::uint32_t, 3> face{};
       for (std::size_t i = 0; i < 3; ++i) {

@@ -8,6 +8,12 @@
 
 namespace corvid {
 
+/// How much of a depth map is answered.
+struct DepthAnswers {
+  std::size_t pixels = 0, answered = 0;
+  double confidence = 0;  ///< sum over the answers
+};
+
 /// A keyframe's depth map, which need not stay in memory: put away in an archive it comes back for
 /// as long as somebody holds it. Copies share the answers, and have a place and a scale each.
 /// Thread-safe as far as its copies go.
@@ -29,6 +35,8 @@ class StoredDepth {
   /// Errors: io; then they stay in memory.
   [[nodiscard]] Expected<void> put_away(const std::shared_ptr<Archive>& archive) const;
   [[nodiscard]] std::size_t image_bytes() const;
+  /// Known without reading anything back.
+  [[nodiscard]] const DepthAnswers& answers() const;
   [[nodiscard]] bool in_memory() const;
 
  private:

@@ -123,11 +123,13 @@ void expect_sound(const std::string& html) {
   }
 }
 
+std::string page_of(const ReportFacts& facts) { return report_html(facts, report_pictures(facts)); }
+
 TEST(Report, FullRunShowsEverySection) {
   const RunResult run = made_up_run();
   const RunReportInput input = input_of(run, true);
   ASSERT_EQ(input.trajectory_errors->problem, "");
-  const std::string html = report_html(facts_of(input));
+  const std::string html = page_of(facts_of(input));
   expect_sound(html);
   const std::string text = without_data(html);
   EXPECT_NE(text.find("Trajectory error (ATE)"), std::string::npos);
@@ -146,7 +148,7 @@ TEST(Report, FullRunShowsEverySection) {
 
 TEST(Report, WithoutTruth) {
   const RunResult run = made_up_run(60);
-  const std::string html = report_html(facts_of(input_of(run, false)));
+  const std::string html = page_of(facts_of(input_of(run, false)));
   expect_sound(html);
   EXPECT_EQ(html.find("Trajectory error (ATE)"), std::string::npos);
   EXPECT_NE(html.find("The source has no true trajectory."), std::string::npos);
@@ -154,9 +156,9 @@ TEST(Report, WithoutTruth) {
 
 TEST(Report, OnEarthWithoutTruth) {
   RunResult run = made_up_run(60);
-  const std::string before = report_html(facts_of(input_of(run, false)));
+  const std::string before = page_of(facts_of(input_of(run, false)));
   run.enu_origin = GeodeticPosition{47.4, 8.5, 500};
-  const std::string html = report_html(facts_of(input_of(run, false)));
+  const std::string html = page_of(facts_of(input_of(run, false)));
   expect_sound(html);
   EXPECT_NE(before.find("map units"), std::string::npos);
   EXPECT_EQ(html.find("map units"), std::string::npos);
@@ -164,10 +166,10 @@ TEST(Report, OnEarthWithoutTruth) {
 
 TEST(Report, EmptyRun) {
   const RunResult run;
-  const std::string html = report_html(facts_of(input_of(run, true)));
+  const std::string html = page_of(facts_of(input_of(run, true)));
   expect_sound(html);
   EXPECT_NE(html.find("id=\"no-estimate\""), std::string::npos);
-  const std::string bare = report_html(facts_of(input_of(run, false)));
+  const std::string bare = page_of(facts_of(input_of(run, false)));
   expect_sound(bare);
 }
 
@@ -180,7 +182,7 @@ TEST(Report, EventsButNoPose) {
   run.stages.clear();
   for (PoseEvent& e : run.events) e.T_world_camera.reset();
   run.interrupted = true;
-  const std::string html = report_html(facts_of(input_of(run, false)));
+  const std::string html = page_of(facts_of(input_of(run, false)));
   expect_sound(html);
   EXPECT_NE(html.find("id=\"interrupted\""), std::string::npos);
 }
@@ -198,7 +200,7 @@ TEST(Report, NumbersThatAreNotFiniteAreNotShown) {
   run.depth_maps[0] = StoredDepth(depth);
   run.mesh.vertices[3].x() = std::numeric_limits<float>::quiet_NaN();
   const RunReportInput input = input_of(run, false);
-  expect_sound(report_html(facts_of(input)));
+  expect_sound(page_of(facts_of(input)));
   EXPECT_TRUE(nlohmann::json::accept(report_json(facts_of(input))));
 }
 
@@ -214,7 +216,7 @@ TEST(Report, OneFrameAndOneLandmark) {
   depth.depth = depth.confidence = FloatImage(8, 6);  // no answer anywhere
   run.depth_maps.assign(1, StoredDepth(depth));
   run.mesh.triangles.resize(1);
-  expect_sound(report_html(facts_of(input_of(run, true))));
+  expect_sound(page_of(facts_of(input_of(run, true))));
 }
 
 TEST(Report, JsonSaysTheSame) {

@@ -18,6 +18,7 @@ DepthMap answers(int side) {
   map.depth = FloatImage(side, side, 2.0F);
   map.confidence = FloatImage(side, side, 0.5F);
   map.depth(1, 2) = 7;
+  map.depth(0, 0) = 0;  // no answer
   return map;
 }
 
@@ -47,6 +48,9 @@ TEST(StoredDepth, ComesBackAsItWas) {
   EXPECT_EQ(back->camera.width_px, 5);
   EXPECT_TRUE(back->depth == original.depth);
   EXPECT_TRUE(back->confidence == original.confidence);
+  EXPECT_EQ(stored.answers().pixels, 25U);
+  EXPECT_EQ(stored.answers().answered, 24U);
+  EXPECT_EQ(stored.answers().confidence, 12);
   stored.scale = 2;
   EXPECT_EQ(stored.load().depth(1, 2), 14);
 }
