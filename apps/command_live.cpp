@@ -105,6 +105,10 @@ Expected<void> attach(const Arguments& arguments, FlightPlan& plan, Attached& at
     attached.mavlink = std::move(*link);
     plan.listeners.push_back(attached.mavlink.get());
   }
+  auto folder = LiveFolder::create(
+      plan.out, fmt::format("corvid {} live, {}", CORVID_VERSION, describe(plan.source->info())));
+  if (!folder) return tl::unexpected(folder.error());
+  attached.folder = std::move(*folder);
   if (!arguments.record.empty()) {
     auto writer = open_recording(arguments.record, std::nullopt, plan.source->info());
     if (!writer) return tl::unexpected(writer.error());
@@ -115,10 +119,6 @@ Expected<void> attach(const Arguments& arguments, FlightPlan& plan, Attached& at
     attached.recording = arguments.record;
     plan.source = std::make_unique<RecordedSource>(std::move(plan.source), *attached.recorder);
   }
-  auto folder = LiveFolder::create(
-      plan.out, fmt::format("corvid {} live, {}", CORVID_VERSION, describe(plan.source->info())));
-  if (!folder) return tl::unexpected(folder.error());
-  attached.folder = std::move(*folder);
   plan.listeners.push_back(attached.folder.get());
   plan.map = attached.folder.get();
   plan.listeners.push_back(&attached.notifier);
@@ -161,7 +161,10 @@ Expected<ExitCode> run(const Arguments& arguments, Context& context) {
   auto camera = arguments.camera.open(attached.clock, signals.token());
   if (!camera) return tl::unexpected(camera.error());
   plan.source = std::move(*camera);
-  if (auto done = attach(arguments, plan, attached); !done) return tl::unexpected(done.error());
+  if (auto done = attach(arguments, plan, attached); !done) {
+    if (attached.folder) attached.folder->remove();
+    return tl::unexpected(done.error());
+  }
   plan.source = std::make_unique<EndingSource>(std::move(plan.source),
                                                [&] { attached.notifier.finishing(); });
   const std::stop_callback stopping(signals.token(), [&] {

@@ -18,6 +18,8 @@ namespace corvid {
 namespace {
 
 constexpr std::int64_t kStatusInterval_ns = 2'000'000'000;
+/// An hour, for the last adjustment.
+constexpr const char* kLastWait = "WATCHDOG_USEC=3600000000";
 
 /// Connected to the manager's socket; -1 if there is none.
 int connect_to_manager() {
@@ -77,11 +79,11 @@ void ServiceNotifier::on_pose(const PoseEvent& event) {
 }
 
 void ServiceNotifier::stopping() {
-  if (fd_ >= 0) send("STOPPING=1\nSTATUS=saving");
+  if (fd_ >= 0) send(fmt::format("STOPPING=1\n{}\nSTATUS=saving", kLastWait));
 }
 
 void ServiceNotifier::finishing() {
-  if (fd_ >= 0) send("WATCHDOG_USEC=3600000000\nSTATUS=finishing");
+  if (fd_ >= 0) send(fmt::format("{}\nSTATUS=finishing", kLastWait));
 }
 
 }  // namespace corvid

@@ -22,10 +22,10 @@ class ServiceNotifier final : public PoseSink {
   ServiceNotifier(const ServiceNotifier&) = delete;
   ServiceNotifier& operator=(const ServiceNotifier&) = delete;
   void on_pose(const PoseEvent& event) override;
-  /// A signal ends the run: what there is will be saved. From any thread.
+  /// A signal ends the run: what there is will be saved. No frames may come any more, and the last
+  /// adjustment may take long, so the watchdog waits for an hour. From any thread.
   void stopping();
-  /// The source has ended: no frames come any more, and the last adjustment may take long, so the
-  /// watchdog waits for an hour. From any thread.
+  /// The source has ended, which the watchdog takes in the same way. From any thread.
   void finishing();
 
  private:

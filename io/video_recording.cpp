@@ -208,6 +208,12 @@ Expected<void> write_camera(const fs::path& path, const SourceInfo& info) {
                                                                   : CalibrationFormat::opencv);
 }
 
+/// Removes a file that this process made; what a link leads to is somebody else's.
+void remove_made(const fs::path& file) {
+  std::error_code ignored;
+  if (fs::is_regular_file(fs::symlink_status(file, ignored))) fs::remove(file, ignored);
+}
+
 }  // namespace
 
 Expected<std::unique_ptr<RecordingWriter>> create_video_recording(const fs::path& path,
@@ -229,10 +235,17 @@ Expected<std::unique_ptr<RecordingWriter>> create_video_recording(const fs::path
                 path.string(), "record into another folder");
   }
   if (trouble) return io_fault("folder cannot be made", path.parent_path(), trouble.value());
-  if (auto ok = write_camera(fs::path(path).replace_extension(".yaml"), info); !ok)
-    return tl::unexpected(ok.error());
+  const fs::path camera = fs::path(path).replace_extension(".yaml");
+  const bool had_camera = fs::exists(camera, trouble);
+  if (auto ok = write_camera(camera, info); !ok) return tl::unexpected(ok.error());
   auto recording = std::make_unique<VideoRecording>(path, info);
-  if (auto ok = recording->open(codec, ending == ".mkv"); !ok) return tl::unexpected(ok.error());
+  if (auto ok = recording->open(codec, ending == ".mkv"); !ok) {
+    recording.reset();
+    // What is left would be taken for a recording when it is tried again.
+    for (const fs::path& file : {path, time_file_of(path)}) remove_made(file);
+    if (!had_camera) remove_made(camera);
+    return tl::unexpected(ok.error());
+  }
   return recording;
 }
 

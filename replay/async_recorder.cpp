@@ -46,10 +46,14 @@ bool AsyncRecorder::has_room(std::size_t bytes) const {
 
 bool AsyncRecorder::follows(const Frame& frame) {
   if (frame.time_ns >= 0 && (!last_pushed_ns_ || frame.time_ns > *last_pushed_ns_)) return true;
-  ++counts_.refused;
-  log().warn("recording: frame {} is left out: its time {} ns does not follow {} ns",
-             frame.id.value, frame.time_ns, last_pushed_ns_.value_or(-1));
+  refuse(fmt::format("frame {}: its time {} ns does not follow {} ns", frame.id.value,
+                     frame.time_ns, last_pushed_ns_.value_or(-1)));
   return false;
+}
+
+// Only the first is said: a camera whose clock stands still has one after the other.
+void AsyncRecorder::refuse(const std::string& why) {
+  if (counts_.refused++ == 0) log().warn("recording: a frame is left out: {}", why);
 }
 
 void AsyncRecorder::put(FramePtr frame, std::size_t bytes) {
@@ -142,8 +146,7 @@ void AsyncRecorder::settle(const Frame& frame, std::size_t bytes, const Expected
     ++counts_.written;
     counts_.bytes += bytes;
   } else if (done.error().code == ErrorCode::invalid_argument) {
-    ++counts_.refused;
-    log().warn("recording: a frame is left out: {}", done.error().to_string());
+    refuse(done.error().to_string());
   } else {
     failure_ = done.error();
     drop(frame);
@@ -170,14 +173,12 @@ Expected<void> AsyncRecorder::finish(const std::function<void(const RecorderCoun
                    : ": the disk or the encoder was too slow. A larger buffer, MJPEG, a faster "
                      "disk, or more threads help");
   }
-  if (failure_) return tl::unexpected(*failure_);
   lock.unlock();
-  auto finished = writer_->finish();
-  if (!finished) {
-    const std::scoped_lock again(mutex_);
-    failure_ = finished.error();
-  }
-  return finished;
+  const auto finished = writer_->finish();  // of what was written before a failure, too
+  lock.lock();
+  if (!finished && !failure_) failure_ = finished.error();
+  if (failure_) return tl::unexpected(*failure_);
+  return {};
 }
 
 RecorderCounts AsyncRecorder::counts() const {

@@ -9,6 +9,7 @@
 #include <mutex>
 #include <optional>
 #include <stop_token>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -67,6 +68,7 @@ class AsyncRecorder {
   void work();
   [[nodiscard]] bool has_room(std::size_t bytes) const;
   bool follows(const Frame& frame);
+  void refuse(const std::string& why);
   void put(FramePtr frame, std::size_t bytes);
   void drop(const Frame& frame);
   void settle(const Frame& frame, std::size_t bytes, const Expected<void>& done);

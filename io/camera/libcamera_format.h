@@ -10,9 +10,9 @@
 
 namespace corvid {
 
-/// V4L2's FourCC of libcamera's format of that name ("R8", "BGR888", "SRGGB10_CSI2P"); 0 if V4L2
-/// has none. libcamera names formats as DRM does, by little-endian words: the bytes of its RGB888
-/// are B, G, R.
+/// V4L2's FourCC of libcamera's format of that name ("R8", "BGR888", "SRGGB10_CSI2P"); 0 for
+/// those that are not understood. libcamera names formats as DRM does, by little-endian words: the
+/// bytes of its RGB888 are B, G, R.
 [[nodiscard]] std::uint32_t v4l2_fourcc_of(const std::string& libcamera_name);
 
 /// A format that a camera offers.

@@ -41,7 +41,8 @@ class LibcameraStream final : public CameraStream {
                   std::shared_ptr<libcamera::Camera> camera, Clock& clock)
       : manager_(std::move(manager)),
         camera_(std::move(camera)),
-        session_(camera_, device_folders(*manager_, *camera_), clock) {}
+        session_(camera_, device_folders(*manager_, *camera_), clock),
+        sensor_clock_(camera_->id()) {}
 
   // libcamera reaches into requests and buffers until the session is closed.
   ~LibcameraStream() override {
@@ -79,7 +80,6 @@ class LibcameraStream final : public CameraStream {
   /// Requests that carry controls; a request that comes back does so no longer.
   std::vector<const libcamera::Request*> with_controls_;
   SensorClock sensor_clock_;
-  bool noted_arrival_ = false;
   FrameCount count_;
 };
 
@@ -141,9 +141,8 @@ Expected<void> LibcameraStream::on_cancelled(libcamera::Request& request) {
     return fail(ErrorCode::io, "the camera's driver has failed", camera_->id(),
                 "open it anew; the system's log may say more");
   }
-  const std::string note = "The camera refused exposure, gain or rate; they are left as they are.";
-  log().warn("{}: {}", camera_->id(), note);
-  setup_.settings.notes.push_back(note);
+  log().warn("{}: the camera refused exposure, gain or rate: they are left as they are",
+             camera_->id());
   return {};
 }
 
@@ -173,11 +172,6 @@ std::optional<Capture> LibcameraStream::take(const CompletedRequest& completed) 
       completed.request->metadata().get(libcamera::controls::SensorTimestamp);
   capture.time_ns =
       sensor_clock_.monotonic_ns(stamp_ns.value_or(0), completed.arrival_ns, slept_ns());
-  if (sensor_clock_.by_arrival() && !noted_arrival_) {
-    noted_arrival_ = true;
-    setup_.settings.notes.emplace_back(
-        "The camera's time stamps are of no known clock; times are those of arrival.");
-  }
   return capture;
 }
 
@@ -200,6 +194,8 @@ Expected<std::optional<Capture>> LibcameraStream::next(std::chrono::milliseconds
     completed->request->reuse(libcamera::Request::ReuseBuffers);
     session_.queue(completed->request);
     if (capture) return capture;
+    // Damaged pictures do not make the wait longer.
+    if (std::chrono::steady_clock::now() >= deadline) break;
   }
   if (session_.is_gone()) {
     return fail(ErrorCode::io, "the camera was unplugged", camera_->id(),

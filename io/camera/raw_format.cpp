@@ -4,6 +4,7 @@
 #include <array>
 #include <opencv2/imgproc.hpp>
 #include <string>
+#include <string_view>
 #include <utility>
 
 #include "io/camera/raw_image.h"
@@ -11,10 +12,12 @@
 namespace corvid {
 namespace {
 
-constexpr std::uint32_t fourcc(const char (&name)[5]) {
+/// Of a name of four characters at most: "Y16" is "Y16 ".
+constexpr std::uint32_t fourcc(std::string_view name) {
   std::uint32_t code = 0;
-  for (int i = 0; i < 4; ++i) {
-    code |= static_cast<std::uint32_t>(static_cast<unsigned char>(name[i])) << (8 * i);
+  for (std::size_t i = 0; i < 4; ++i) {
+    const char byte = i < name.size() ? name[i] : ' ';
+    code |= static_cast<std::uint32_t>(static_cast<unsigned char>(byte)) << (8 * i);
   }
   return code;
 }
@@ -135,13 +138,7 @@ std::string fourcc_name(std::uint32_t code) {
 }
 
 std::uint32_t fourcc_of(const std::string& name) {
-  if (name.empty() || name.size() > 4) return 0;
-  std::uint32_t code = 0;
-  for (std::size_t i = 0; i < 4; ++i) {
-    const char byte = i < name.size() ? name[i] : ' ';  // "Y16" is "Y16 "
-    code |= static_cast<std::uint32_t>(static_cast<unsigned char>(byte)) << (8 * i);
-  }
-  return code;
+  return name.empty() || name.size() > 4 ? 0 : fourcc(name);
 }
 
 int format_rank(std::uint32_t code) {

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "io/camera/raw_format.h"
+#include "io/camera/upper_bits.h"
 #include "io/jpeg_header.h"
 
 namespace corvid {
@@ -70,24 +71,15 @@ Converted blank(const Raw& raw, bool colour) {
   return result;
 }
 
-/// Little-endian 16-bit samples, of which the lower `bits` are used, to their upper 8.
-void take_upper_bits(const cv::Mat& words, int bits, cv::Mat& out) {
-  for (int y = 0; y < words.rows; ++y) {
-    const std::uint8_t* in = words.ptr(y);
-    std::uint8_t* to = out.ptr(y);
-    for (int x = 0; x < words.cols; ++x) {
-      const int value = in[2 * x] | in[2 * x + 1] << 8;
-      to[x] = static_cast<std::uint8_t>(std::min(value >> (bits - 8), 255));
-    }
-  }
-}
-
-/// MIPI CSI-2's packing: `group` samples' upper 8 bits, then one byte of all their lower bits.
-void take_packed(const cv::Mat& bytes, int group, cv::Mat& out) {
+/// MIPI CSI-2's packing: kGroup samples' upper 8 bits, then one byte of all their lower bits.
+template <int kGroup>
+void take_packed(const cv::Mat& bytes, cv::Mat& out) {
+  const int whole = out.cols / kGroup * kGroup;
   for (int y = 0; y < out.rows; ++y) {
     const std::uint8_t* in = bytes.ptr(y);
     std::uint8_t* to = out.ptr(y);
-    for (int x = 0; x < out.cols; ++x) to[x] = in[x + x / group];
+    for (int x = 0; x < whole; x += kGroup, in += kGroup + 1) std::copy_n(in, kGroup, to + x);
+    std::copy_n(in, out.cols - whole, to + whole);
   }
 }
 
@@ -107,13 +99,14 @@ Expected<GreyImage> samples_of(const Raw& raw) {
     return std::move(result);
   };
   const auto words = [&](int bits) {
-    return with(rows(w, CV_8UC2),
-                [&](const cv::Mat& in, cv::Mat& out) { take_upper_bits(in, bits, out); });
+    return with(rows(w, CV_8UC2), [&](const cv::Mat& in, cv::Mat& out) {
+      for (int y = 0; y < out.rows; ++y) {
+        take_upper_bits(in.ptr(y), static_cast<std::size_t>(w), bits, out.ptr(y));
+      }
+    });
   };
-  const auto packed = [&](int group) {
-    const int cols = (w + group - 1) / group * (group + 1);
-    return with(rows(cols, CV_8UC1),
-                [&](const cv::Mat& in, cv::Mat& out) { take_packed(in, group, out); });
+  const auto packed = [&](int group, const auto& take) {
+    return with(rows((w + group - 1) / group * (group + 1), CV_8UC1), take);
   };
   switch (raw.format.sample) {
     case RawSample::bits10:
@@ -125,9 +118,9 @@ Expected<GreyImage> samples_of(const Raw& raw) {
     case RawSample::bits16:
       return words(16);
     case RawSample::packed10:
-      return packed(4);
+      return packed(4, take_packed<4>);
     case RawSample::packed12:
-      return packed(2);
+      return packed(2, take_packed<2>);
     case RawSample::bits8:
       break;
   }
@@ -252,15 +245,18 @@ Expected<Converted> convert_jpeg(const Raw& raw) {
   }
   const cv::Mat data(1, static_cast<int>(bytes.size()), CV_8UC1,
                      const_cast<std::uint8_t*>(bytes.data()));
-  const cv::Mat luma = cv::imdecode(data, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
-  if (luma.rows != raw.height_px || luma.cols != raw.width_px) {
+  // Decoded once: with colour, grey is made of that.
+  const cv::Mat decoded = cv::imdecode(
+      data, (raw.colour ? cv::IMREAD_COLOR : cv::IMREAD_GRAYSCALE) | cv::IMREAD_IGNORE_ORIENTATION);
+  if (decoded.rows != raw.height_px || decoded.cols != raw.width_px) {
     return corrupt(raw, "the JPEG cannot be decoded");
   }
   Converted result = blank(raw, raw.colour);
-  luma.copyTo(view(result.grey));
   if (raw.colour) {
-    const cv::Mat bgr = cv::imdecode(data, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
-    cv::cvtColor(bgr, view(result.colour), cv::COLOR_BGR2RGB);
+    cv::cvtColor(decoded, view(result.grey), cv::COLOR_BGR2GRAY);
+    cv::cvtColor(decoded, view(result.colour), cv::COLOR_BGR2RGB);
+  } else {
+    decoded.copyTo(view(result.grey));
   }
   return result;
 }

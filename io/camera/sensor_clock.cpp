@@ -1,6 +1,7 @@
 #include "io/camera/sensor_clock.h"
 
 #include "core/clock.h"
+#include "core/log.h"
 
 namespace corvid {
 namespace {
@@ -22,7 +23,16 @@ std::int64_t SensorClock::monotonic_ns(std::int64_t stamp_ns, std::int64_t arriv
   const bool boottime = fits(stamp_ns, arrival_ns + slept_ns);
   boottime_ = boottime && (boottime_ || !monotonic);
   by_arrival_ = !monotonic && !boottime;
-  if (by_arrival_) return arrival_ns;
+  if (by_arrival_) {
+    if (!said_) {
+      log().warn(
+          "{}: a picture's time stamp is of no known clock: such pictures get the time of "
+          "their arrival",
+          camera_);
+    }
+    said_ = true;
+    return arrival_ns;
+  }
   return boottime_ ? stamp_ns - slept_ns : stamp_ns;
 }
 

@@ -10,9 +10,9 @@
 #include <span>
 #include <utility>
 
-#include "core/log.h"
 #include "io/camera/frame_count.h"
 #include "io/camera/raw_image.h"
+#include "io/camera/sensor_clock.h"
 #include "io/camera/v4l2_camera.h"
 #include "io/camera/v4l2_device.h"
 #include "io/camera/v4l2_setup.h"
@@ -72,7 +72,7 @@ struct Buffer {
 class V4l2Stream final : public CameraStream {
  public:
   V4l2Stream(V4l2Device device, bool colour, Clock& clock)
-      : device_(std::move(device)), colour_(colour), clock_(clock) {}
+      : device_(std::move(device)), colour_(colour), clock_(clock), sensor_clock_(device_.path()) {}
   ~V4l2Stream() override {
     int type = static_cast<int>(device_.buffer_type());
     if (streaming_) std::ignore = device_.call(VIDIOC_STREAMOFF, &type);
@@ -101,7 +101,8 @@ class V4l2Stream final : public CameraStream {
   V4l2Format format_;
   std::vector<std::vector<MappedPlane>> buffers_;
   bool streaming_ = false;
-  bool arrival_times_ = false;  ///< the driver's are not of CLOCK_MONOTONIC
+  bool arrival_times_ = false;  ///< the driver does not say that its are of CLOCK_MONOTONIC
+  SensorClock sensor_clock_;
   FrameCount counts_;
 };
 
@@ -180,7 +181,9 @@ Expected<std::optional<Capture>> V4l2Stream::next(std::chrono::milliseconds time
     const int count = ::poll(&ready, 1, wait_ms);
     if (count < 0 && errno != EINTR) return over(errno, "the camera cannot be waited for");
     if (count > 0) {
-      if (auto ok = take_events(); !ok) return tl::unexpected(ok.error());
+      if ((ready.revents & POLLPRI) != 0) {
+        if (auto ok = take_events(); !ok) return tl::unexpected(ok.error());
+      }
       auto capture = take_buffer((ready.revents & (POLLERR | POLLHUP | POLLNVAL)) != 0);
       if (!capture || *capture) return capture;
     }
@@ -223,17 +226,8 @@ Expected<std::optional<Capture>> V4l2Stream::take_buffer(bool in_error) {
     counts_.damaged(sequence, capture.error().what);
     return std::optional<Capture>();
   }
-  // As with SensorClock: a stamp that is no time of this clock would make all frames wrong.
-  constexpr std::int64_t kOldest_ns = 10'000'000'000;
-  const bool fits = kernel_ns <= arrival_ns && arrival_ns - kernel_ns <= kOldest_ns;
-  if (!fits && !arrival_times_) {
-    log().warn(
-        "{}: the driver's times do not belong to the monotonic clock: those of arrival are "
-        "taken",
-        device_.path());
-    arrival_times_ = true;
-  }
-  capture->time_ns = arrival_times_ ? arrival_ns : kernel_ns;
+  capture->time_ns =
+      arrival_times_ ? arrival_ns : sensor_clock_.monotonic_ns(kernel_ns, arrival_ns, 0);
   capture->sequence = sequence;
   return std::optional<Capture>(std::move(*capture));
 }

@@ -14,8 +14,10 @@
 #include <opencv2/imgproc.hpp>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "core/log.h"
+#include "io/camera/upper_bits.h"
 #include "io/camera/y4m_header.h"
 #include "io/io_fault.h"
 
@@ -48,14 +50,10 @@ class PipeReader {
   PipeReader(const PipeReader&) = delete;
   PipeReader& operator=(const PipeReader&) = delete;
 
-  [[nodiscard]] std::string_view bytes() const { return std::string_view(buffer_).substr(used_); }
+  [[nodiscard]] std::string_view bytes() const { return {buffer_.data() + begin_, end_ - begin_}; }
   void take(std::size_t count) {
-    used_ += count;
+    begin_ += count;
     taken_ += count;
-    if (used_ == buffer_.size() || used_ > kReadAhead) {
-      buffer_.erase(0, used_);
-      used_ = 0;
-    }
   }
   [[nodiscard]] std::uint64_t taken() const { return taken_; }
   [[nodiscard]] const std::string& where() const { return where_; }
@@ -68,13 +66,24 @@ class PipeReader {
                                         const std::stop_token& stop);
 
  private:
+  void make_room();
+
   int fd_;
   bool owned_;
   std::string where_;
-  std::string buffer_;
-  std::size_t used_ = 0;  ///< of the buffer's start
+  std::vector<char> buffer_;         ///< never shrinks
+  std::size_t begin_ = 0, end_ = 0;  ///< of the bytes in it
   std::uint64_t taken_ = 0;
 };
+
+// For kReadAhead bytes behind those that are there.
+void PipeReader::make_room() {
+  if (buffer_.size() - end_ >= kReadAhead) return;
+  std::copy(buffer_.begin() + static_cast<std::ptrdiff_t>(begin_),
+            buffer_.begin() + static_cast<std::ptrdiff_t>(end_), buffer_.begin());
+  end_ -= std::exchange(begin_, 0);
+  if (buffer_.size() - end_ < kReadAhead) buffer_.resize(end_ + kReadAhead);
+}
 
 Expected<Got> PipeReader::need(std::size_t count, SteadyTime until, const std::stop_token& stop) {
   while (bytes().size() < count) {
@@ -93,13 +102,14 @@ Expected<Got> PipeReader::need(std::size_t count, SteadyTime until, const std::s
       if ((poll.revents & POLLHUP) != 0) return Got::end;
       return io_fault("cannot be read", where_, EIO);
     }
-    const std::size_t had = buffer_.size();
-    buffer_.resize(had + kReadAhead);
-    const ssize_t got = ::read(fd_, buffer_.data() + had, kReadAhead);
-    const int code = errno;
-    buffer_.resize(had + static_cast<std::size_t>(std::max<ssize_t>(got, 0)));
+    make_room();
+    const ssize_t got = ::read(fd_, buffer_.data() + end_, kReadAhead);
     if (got == 0) return Got::end;
-    if (got < 0 && code != EINTR && code != EAGAIN) return io_fault("cannot be read", where_, code);
+    if (got > 0) {
+      end_ += static_cast<std::size_t>(got);
+    } else if (errno != EINTR && errno != EAGAIN) {
+      return io_fault("cannot be read", where_, errno);
+    }
   }
   return Got::enough;
 }
@@ -230,12 +240,7 @@ cv::Mat plane8(const char* bytes, int width_px, int height_px, int bits) {
   auto* data = const_cast<char*>(bytes);  // only read
   if (bits == 8) return cv::Mat(height_px, width_px, CV_8UC1, data);
   cv::Mat result(height_px, width_px, CV_8UC1);
-  const auto* samples = reinterpret_cast<const unsigned char*>(bytes);
-  const std::size_t count = result.total();
-  for (std::size_t i = 0; i < count; ++i) {
-    const int value = (samples[2 * i] | samples[2 * i + 1] << 8) >> (bits - 8);
-    result.data[i] = static_cast<unsigned char>(std::min(value, 255));
-  }
+  take_upper_bits(reinterpret_cast<const std::uint8_t*>(bytes), result.total(), bits, result.data);
   return result;
 }
 

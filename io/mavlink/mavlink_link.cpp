@@ -97,6 +97,7 @@ void MavlinkLink::read() {
     const auto n = line_->read(bytes);
     if (!n) return broke(n.error());
     if (*n == 0) return;
+    works();
     const std::uint64_t before = node_.good_packets();
     const std::int64_t now_ns = clock_.now_ns();
     node_.on_bytes({bytes.data(), *n}, line_->datagrams(), now_ns);
@@ -120,6 +121,7 @@ void MavlinkLink::write() {
     if (line_->descriptor() >= 0) {
       const auto sent = line_->write(packet.bytes);
       if (sent && *sent) {
+        works();
         ++now_.sent;
         continue;
       }
@@ -138,10 +140,13 @@ void MavlinkLink::reopen(std::int64_t now_ns) {
   if (now_ns < retry_ns_) return;
   if (const auto opened = line_->open(); !opened) return broke(opened.error());
   ++now_.reconnections;
-  pause_ns_ = 0;
   kept_.clear();
   node_.on_line_opened();
-  log().info("MAVLink: the line is open again");
+}
+
+// A line that can be opened but breaks at once must not be opened all the time.
+void MavlinkLink::works() {
+  if (std::exchange(pause_ns_, 0) > 0) log().info("MAVLink: the line is open again");
 }
 
 void MavlinkLink::broke(const Error& error) {

@@ -34,7 +34,7 @@ struct MavlinkStatistics {
 ///
 /// Has one thread, which waits for the line and the next thing that is due; a line that is slow,
 /// full or gone holds up nobody. A line that breaks is opened again, after 0.25 s and then more and
-/// more rarely, down to every 5 s.
+/// more rarely, down to every 5 s, until bytes go through it.
 class MavlinkLink final : public PoseSink {
  public:
   /// Opens the line. Errors: those of MavlinkLine::open().
@@ -62,6 +62,7 @@ class MavlinkLink final : public PoseSink {
   void write();
   void reopen(std::int64_t now_ns);
   void broke(const Error& error);
+  void works();
   void publish();
   void wake() const;
 
@@ -80,7 +81,7 @@ class MavlinkLink final : public PoseSink {
   std::deque<MavlinkOutgoing> kept_;  // lasting packets for which there was no room, one of a kind
   MavlinkStatistics now_;
   std::int64_t retry_ns_ = 0;  // when a broken line is opened again
-  std::int64_t pause_ns_ = 0;  // before the next such attempt
+  std::int64_t pause_ns_ = 0;  // before the next such attempt; 0: bytes went through
 
   mutable std::mutex mutex_;
   std::optional<Waiting> newest_;

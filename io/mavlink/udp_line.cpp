@@ -43,11 +43,14 @@ class UdpLine final : public MavlinkLine {
  private:
   static constexpr std::int64_t kSilence_ns = 5'000'000'000;  // then another may be the partner
 
+  /// Asks the resolver, which may take long, and so only once; IPv4 first, as autopilots speak it.
+  Expected<void> resolve();
   std::string where() const { return fmt::format("{}:{}", host_, port_); }
 
   std::string host_;
   int port_;
   bool listens_;
+  std::optional<Address> address_;  ///< of host and port
   Descriptor socket_;
   Address last_sender_;
   std::optional<Address> partner_;
@@ -61,7 +64,7 @@ bool passes(int error) {
          error == EHOSTDOWN || error == EPERM;
 }
 
-Expected<void> UdpLine::open() {
+Expected<void> UdpLine::resolve() {
   addrinfo hints{}, *found = nullptr;
   hints.ai_socktype = SOCK_DGRAM;
   hints.ai_flags = AI_NUMERICSERV | (listens_ ? AI_PASSIVE : 0);
@@ -72,10 +75,24 @@ Expected<void> UdpLine::open() {
                 "check the name, or give the address");
   }
   const std::unique_ptr<addrinfo, void (*)(addrinfo*)> addresses(found, freeaddrinfo);
-  socket_.reset(::socket(found->ai_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  const addrinfo* chosen = found;
+  while (chosen != nullptr && chosen->ai_family != AF_INET) chosen = chosen->ai_next;
+  if (chosen == nullptr) chosen = found;
+  address_.emplace();
+  std::memcpy(&address_->storage, chosen->ai_addr, chosen->ai_addrlen);
+  address_->length = chosen->ai_addrlen;
+  return {};
+}
+
+Expected<void> UdpLine::open() {
+  if (!address_) {
+    if (auto resolved = resolve(); !resolved) return resolved;
+  }
+  const Address& at = *address_;
+  socket_.reset(::socket(at.storage.ss_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
   const int fd = socket_.get();
-  if (fd < 0 || (listens_ ? ::bind(fd, found->ai_addr, found->ai_addrlen)
-                          : ::connect(fd, found->ai_addr, found->ai_addrlen)) != 0) {
+  if (fd < 0 ||
+      (listens_ ? ::bind(fd, at.get(), at.length) : ::connect(fd, at.get(), at.length)) != 0) {
     const int error = errno;
     socket_.reset(-1);
     return fail(ErrorCode::io, fmt::format("the UDP port cannot be opened: {}", strerror(error)),

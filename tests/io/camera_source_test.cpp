@@ -5,6 +5,7 @@
 
 #include <deque>
 #include <fstream>
+#include <functional>
 
 #include "scenes/temporary_folder.h"
 
@@ -29,6 +30,7 @@ struct FakeCamera {
   bool pipe = false;                    ///< cannot be opened anew
   bool broken = false;                  ///< every stream fails at once
   std::vector<std::int64_t> attempts_ns;
+  std::function<void()> on_attempt = [] {};
 
   FakeCamera() { clock.advance(kStart_ns); }
   static bool within(const std::vector<Span>& spans, std::int64_t t) {
@@ -85,6 +87,7 @@ struct FakeCamera {
   CameraSource::Opener opener() {
     return [this]() -> Expected<std::unique_ptr<CameraStream>> {
       attempts_ns.push_back(clock.now_ns());
+      on_attempt();
       if (within(unplugged, clock.now_ns()))
         return fail(ErrorCode::not_found, "there is no such camera", "fake");
       ++opened;
@@ -269,10 +272,17 @@ TEST(CameraSource, AskedToStopItReturnsNothing) {
   const auto source = camera.open();
   (void)watch(*source, camera, 5'000'000'000);
   std::stop_source stop;
-  stop.request_stop();
-  const auto frame = source->next(stop.get_token());
-  ASSERT_TRUE(frame);
-  EXPECT_EQ(*frame, nullptr);
+  std::size_t attempts = 0;
+  camera.on_attempt = [&] {
+    stop.request_stop();
+    attempts = camera.attempts_ns.size();
+  };
+  while (attempts == 0) {
+    const auto frame = source->next(stop.get_token());
+    ASSERT_TRUE(frame);
+    EXPECT_EQ(*frame == nullptr, attempts > 0) << "blind until then";
+  }
+  EXPECT_EQ(camera.attempts_ns.size(), attempts);
 }
 
 TEST(CameraSource, WithoutACameraAtTheStartThereIsAnError) {

@@ -2,8 +2,9 @@
 
 #include <gtest/gtest.h>
 
-#include <filesystem>
 #include <string>
+
+#include "scenes/folder_entries.h"
 
 namespace corvid {
 namespace {
@@ -30,11 +31,6 @@ TEST(LibcameraCamera, UnknownCameraIsNotFoundAndNothingIsPrinted) {
 }
 
 TEST(LibcameraCamera, NothingIsLeftWhenNobodyHoldsACamera) {
-  const auto entries_of = [](const char* folder) {
-    std::size_t count = 0;
-    for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(folder)) ++count;
-    return count;
-  };
   (void)list_libcamera_cameras();  // what the first start leaves for good
   const std::size_t files = entries_of("/proc/self/fd"), threads = entries_of("/proc/self/task");
   for (int i = 0; i < 10; ++i) (void)list_libcamera_cameras();

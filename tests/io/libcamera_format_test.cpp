@@ -29,7 +29,6 @@ TEST(LibcameraFormat, NamesAreLibcamerasAndBytesAreV4l2s) {
       {libcamera::formats::NV21, "NV21"},
       {libcamera::formats::YUV420, "YU12"},
       {libcamera::formats::YVU420, "YV12"},
-      {libcamera::formats::YUV422, "422P"},
       {libcamera::formats::MJPEG, "MJPG"},
       {libcamera::formats::SBGGR8, "BA81"},
       {libcamera::formats::SRGGB8, "RGGB"},

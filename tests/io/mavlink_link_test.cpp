@@ -8,6 +8,7 @@
 #include <poll.h>
 #include <stdlib.h>
 #include <sys/socket.h>
+#include <termios.h>
 #include <unistd.h>
 
 #include <chrono>
@@ -46,6 +47,14 @@ class OtherEnd {
     EXPECT_EQ(::unlockpt(end->fd_.get()), 0);
     std::filesystem::remove(path);
     std::filesystem::create_symlink(::ptsname(end->fd_.get()), path);
+    return end;
+  }
+  /// As terminal(), but nothing can be written into it.
+  static std::unique_ptr<OtherEnd> stopped_terminal(const std::string& path) {
+    auto end = terminal(path + ".new");
+    const Descriptor line(::open((path + ".new").c_str(), O_RDWR | O_NOCTTY));
+    EXPECT_EQ(::tcflow(line.get(), TCOOFF), 0);
+    std::filesystem::rename(path + ".new", path);
     return end;
   }
   void connect_to(int other_port) {
@@ -254,6 +263,22 @@ TEST_F(MavlinkLinkTest, ASerialLineThatWasPulledOutIsOpenedAgain) {
     return autopilot->count(Heartbeat::kId) >= 1 && autopilot->count(Odometry::kId) >= 5;
   }));
   EXPECT_EQ(link->statistics().reconnections, 1U);
+}
+
+TEST_F(MavlinkLinkTest, ALineThatOpensButBreaksAtOnceIsOpenedMoreAndMoreRarely) {
+  auto autopilot = OtherEnd::stopped_terminal(path());
+  const auto begun = std::chrono::steady_clock::now();
+  const auto link = open("serial:" + path());
+  const auto waiting = OtherEnd::udp();  // only to wait with
+  for (std::uint64_t times = 1; times <= 3; ++times) {
+    autopilot = OtherEnd::stopped_terminal(path());  // the one before it is gone
+    ASSERT_TRUE(waiting->until([&] { return link->statistics().reconnections == times; }));
+  }
+  EXPECT_EQ(link->statistics().sent, 0U);
+  // 0.25 s, 0.5 s, 1 s. At an even 0.25 s it would be there after 0.75 s.
+  EXPECT_GE(std::chrono::steady_clock::now() - begun, std::chrono::milliseconds(1750));
+  autopilot = OtherEnd::terminal(path());
+  ASSERT_TRUE(autopilot->until_heard(Heartbeat::kId));
 }
 
 TEST_F(MavlinkLinkTest, WhatCannotBeOpenedIsSaid) {

@@ -231,6 +231,23 @@ TEST(RawImage, Jpeg) {
   expect_colour(out.colour(31, 23), 150, 150, 150, 0);
 }
 
+TEST(RawImage, JpegWithColourIsDecodedOnceAndItsGreyIsNearlyTheLuma) {
+  cv::Mat picture(24, 32, CV_8UC3);
+  for (int y = 0; y < 24; ++y) {
+    for (int x = 0; x < 32; ++x)
+      picture.at<cv::Vec3b>(y, x) = cv::Vec3b(60 + 2 * x, 100, 90 + 4 * y);
+  }
+  Bytes bytes;
+  cv::imencode(".jpg", picture, bytes);
+  const Capture grey = converted("MJPG", 32, 24, bytes, 0),
+                both = converted("MJPG", 32, 24, bytes, 0, true);
+  EXPECT_TRUE(grey.colour.empty());
+  for (int y = 0; y < 24; ++y) {
+    for (int x = 0; x < 32; ++x) EXPECT_NEAR(both.grey(x, y), grey.grey(x, y), 2);
+  }
+  expect_colour(both.colour(16, 12), 138, 100, 92, 12);
+}
+
 TEST(RawImage, JpegWithoutHuffmanTablesAsCamerasSendIt) {
   Bytes bytes = jpeg_of(150);
   for (std::size_t at = 2; bytes[at + 1] != 0xDA;) {  // FF DA: the scan

@@ -304,5 +304,26 @@ TEST(VideoRecording, RefusesWhatItCannotDo) {
   EXPECT_TRUE((*recording)->write(frame_of(3, false)).has_value());
 }
 
+TEST(VideoRecording, WhatCannotBeBegunLeavesNothing) {
+  namespace fs = std::filesystem;
+  for (const bool had_camera : {false, true}) {
+    const TempFolder folder;
+    const SourceInfo info = source_info(false);
+    if (had_camera) {
+      ASSERT_TRUE(
+          write_calibration(folder / "flight.yaml", *info.camera, CalibrationFormat::opencv));
+    }
+    fs::create_symlink(folder / "nowhere/times", folder / "flight.times.csv");
+    const auto recording = create_video_recording(folder / "flight.mkv", VideoCodec::ffv1, info);
+    ASSERT_FALSE(recording.has_value());
+    EXPECT_EQ(recording.error().code, ErrorCode::not_found);
+    EXPECT_FALSE(fs::exists(folder / "flight.mkv"));
+    EXPECT_EQ(fs::exists(folder / "flight.yaml"), had_camera);
+    EXPECT_TRUE(fs::is_symlink(folder / "flight.times.csv")) << "is not ours";
+    fs::remove(folder / "flight.times.csv");
+    record_ten(folder / "flight.mkv", VideoCodec::ffv1, false);
+  }
+}
+
 }  // namespace
 }  // namespace corvid

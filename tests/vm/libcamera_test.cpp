@@ -9,8 +9,10 @@
 
 #include "core/clock.h"
 #include "io/camera/libcamera_camera.h"
+#include "scenes/folder_entries.h"
 #include "vm/emulated_camera.h"
 #include "vm/numbered_picture.h"
+#include "vm/stream_checks.h"
 
 namespace corvid::vm {
 namespace {
@@ -56,21 +58,6 @@ std::optional<CameraListing> listed(const std::string& id) {
     return found.has_value();
   })) << id;
   return found;
-}
-
-CameraRequest request_of(const std::string& id, const std::string& format = "", int width_px = 0,
-                         int height_px = 0) {
-  CameraRequest request;
-  request.device = id;
-  request.format = format;
-  request.width_px = width_px;
-  request.height_px = height_px;
-  return request;
-}
-
-std::size_t entries_of(const char* folder) {
-  return static_cast<std::size_t>(
-      std::distance(fs::directory_iterator(folder), fs::directory_iterator()));
 }
 
 class Libcamera : public GuestTest {
