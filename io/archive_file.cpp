@@ -59,7 +59,17 @@ Expected<Archive::Slot> ArchiveFile::put(std::span<const std::byte> bytes) {
     }
     done += static_cast<std::size_t>(n);
   }
+  start_writing(slot.size);
   return slot;
+}
+
+/// What lies in the page cache only is on its way to the disk soon: else whoever syncs a file of
+/// the same file system at the end of a flight waits for all of it.
+void ArchiveFile::start_writing(std::size_t more_bytes) {
+  constexpr std::size_t kPiece = 4UL << 20;
+  if (cached_bytes_.fetch_add(more_bytes) + more_bytes < kPiece) return;
+  cached_bytes_ = 0;
+  (void)::sync_file_range(fd_, 0, 0, SYNC_FILE_RANGE_WRITE);  // to the end; a hint, no more
 }
 
 Expected<std::vector<std::byte>> ArchiveFile::get(const Slot& slot) const {

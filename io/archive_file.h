@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <filesystem>
 #include <map>
 #include <memory>
@@ -31,10 +32,12 @@ class ArchiveFile : public Archive {
 
  private:
   ArchiveFile(int fd, std::filesystem::path folder);
+  void start_writing(std::size_t more_bytes);
 
   int fd_;
   std::filesystem::path folder_;
   mutable std::mutex mutex_;
+  std::atomic<std::size_t> cached_bytes_ = 0;  ///< put since writing was started last
   std::uint64_t end_ = 0;
   std::map<std::uint64_t, std::vector<std::uint64_t>> free_;  ///< offsets, by size
 };
