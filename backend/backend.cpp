@@ -329,7 +329,8 @@ void Backend::Impl::insert_keyframe(const FrameTracks& tracks, const std::vector
 /// The keyframe that left the window long ago rests, if the ground was known before it came.
 void Backend::Impl::rest_on_known_ground(int newest) {
   const int long_ago = kRestingWindows * options.window_keyframes;
-  const int k = newest - long_ago;
+  const int ended = newest - options.window_keyframes, k = newest - long_ago;
+  if (ended >= 0) tie(map, ended, ended - long_ago);
   if (k < 0) return;
   if (const auto host = known_view(map, k, k - long_ago))
     rest(map, k, *host, newest - options.window_keyframes);

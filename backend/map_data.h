@@ -55,6 +55,7 @@ struct MapKeyframe {
   FocalEstimate focal;                        ///< what the window says that ended here
   std::vector<TrackId> tracks;                ///< ascending; those with a view here or once had
   std::optional<PositionPrior> position;      ///< set by MapPositions
+  bool tied = false;                          ///< to a part of the map that is much older: tie()
   std::optional<RestingPlace> host;           ///< set where it rests: it sees nothing any more
   std::shared_ptr<const Keyframe> published;  ///< null if it sees something else since
   /// Landmarks that got another id since: first -> second, in this order.

@@ -6,10 +6,12 @@
 #include <cmath>
 
 #include "backend/loop.h"
+#include "backend/rest.h"
 
 namespace corvid {
 namespace {
 
+constexpr int kLately = 60;    // keyframes
 constexpr double kFits = 0.8;  // of the landmarks agree with the pose as it is: no loop to close
 
 /// The query's own tracks in its keyframe.
@@ -114,7 +116,11 @@ PlaceOutcome recognise_keyframe(MapData& map, std::vector<FrameRecord>& frames, 
   const Pose T_own = keyframe.T_world_camera;
   const std::vector<TrackObservation> observations = observations_of(map, query);
   const bool same = place.segment == keyframe.segment;
-  if (same && fitting(map, place, T_own, options.huber_px) >= kFits) {
+  // Over known ground the window's adjustment takes back what drifted since the last connection:
+  // no loop, and no jump, for less than makes a landmark an outlier.
+  const bool known = tied_around(map, query, kLately);
+  if (same &&
+      fitting(map, place, T_own, known ? options.max_error_px : options.huber_px) >= kFits) {
     outcome.kind = PlaceOutcome::Kind::connected;
     connect_place(map, query, place, observations, fused);
     return outcome;

@@ -11,11 +11,12 @@
 namespace corvid {
 namespace {
 
+constexpr int kReach = 10;           ///< keyframes
 constexpr int kLeastShared = 60;     ///< landmarks
 constexpr double kMostMoved = 0.04;  ///< in the image, share of its width
 
 /// Whether k has kLeastShared landmarks in common with a keyframe before `older`.
-bool tied(const MapData& map, int k, int older) {
+bool shares_enough(const MapData& map, int k, int older) {
   std::vector<int> shared(static_cast<std::size_t>(older), 0);
   for (const TrackId id : map.keyframes[static_cast<std::size_t>(k)].tracks) {
     const auto it = map.tracks.find(id);
@@ -74,10 +75,25 @@ double moved_px(const Camera& camera, const std::vector<Eigen::Vector3d>& points
 
 }  // namespace
 
+void tie(MapData& map, int k, int older) {
+  if (older > 0) map.keyframes[static_cast<std::size_t>(k)].tied = shares_enough(map, k, older);
+}
+
+bool tied_around(const MapData& map, int k, int reach) {
+  const int last = static_cast<int>(map.keyframes.size()) - 1;
+  for (int i = std::max(0, k - reach); i <= std::min(last, k + reach); ++i) {
+    const MapKeyframe& near = map.keyframes[static_cast<std::size_t>(i)];
+    if (near.tied && near.segment == map.keyframes[static_cast<std::size_t>(k)].segment)
+      return true;
+  }
+  return false;
+}
+
 std::optional<int> known_view(const MapData& map, int k, int older) {
   const MapKeyframe& keyframe = map.keyframes[static_cast<std::size_t>(k)];
-  if (keyframe.host || older <= 0 || !tied(map, k, older)) return std::nullopt;
+  if (keyframe.host || !tied_around(map, k, kReach)) return std::nullopt;
   const std::vector<Eigen::Vector3d> points = points_of(map, k);
+  if (points.empty()) return std::nullopt;
   std::vector<double> depths;
   for (const Eigen::Vector3d& p : points) depths.push_back(p.norm());
   const auto other = nearest(map, k, older, upper_median(std::move(depths)));

@@ -76,6 +76,7 @@ std::vector<std::uint8_t> PlaceFinder::unconnected(const FrameTracks& query,
   std::vector<std::uint8_t> usable(map.keyframes.size(), 1);
   for (std::size_t k = 0; k < map.keyframes.size(); ++k) {
     const Keyframe& keyframe = *map.keyframes[k];
+    if (keyframe.observations.empty()) usable[k] = 0;  // it rests: another one shows the same
     const bool same = keyframe.frame->id == query.frame->id;
     if (!same && common(query.observations, keyframe.observations) < kConnected) continue;
     const std::size_t first = k > kReach ? k - kReach : 0;

@@ -50,7 +50,7 @@ class PlaceFinder {
  private:
   PlaceFinder(const PlaceOptions& options, std::unique_ptr<PairMatcher> pairs,
               std::function<void()> yield);
-  /// Keyframes that show nothing that the query's tracks do not know, by position.
+  /// Keyframes with landmarks, none of which the query's tracks know, by position.
   [[nodiscard]] static std::vector<std::uint8_t> unconnected(const FrameTracks& query,
                                                              const MapSnapshot& map);
   /// The landmarks of a keyframe in the query; without any, `refusal` says why.

@@ -165,6 +165,20 @@ TEST(PlaceFinder, APlaceSeenFromBesideIsFoundExactly) {
   }
 }
 
+TEST(PlaceFinder, KeyframesThatRestAreNotTriedInTheOthersStead) {
+  const SyntheticFlight flight = flight_of(20);
+  TrueMap map(flight, 8);
+  for (std::size_t i = 0; i < 11; ++i) {  // they look most like the query, and see nothing
+    map.add(flight, 49 + i);
+    auto resting = std::make_shared<Keyframe>(*map.map.keyframes.back());
+    resting->observations.clear();
+    map.map.keyframes.back() = resting;
+  }
+  const PlaceSearch search = finder()->find(query_of(flight.render(54)), map.map);
+  ASSERT_FALSE(search.match.references.empty())
+      << (search.refusals.empty() ? "nothing was tried" : search.refusals[0]);
+}
+
 TEST(PlaceFinder, AnotherPlaceIsNotFound) {
   const SyntheticFlight flight = flight_of(60);
   const TrueMap map(flight, 6);
