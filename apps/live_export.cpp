@@ -47,22 +47,6 @@ Address address_of(const fs::path& run_dir) {
   return address;
 }
 
-/// Closes its file descriptor.
-class Socket {
- public:
-  explicit Socket(int fd) : fd_(fd) {}
-  ~Socket() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Socket(const Socket&) = delete;
-  Socket& operator=(const Socket&) = delete;
-  [[nodiscard]] int fd() const { return fd_; }
-  [[nodiscard]] int release() { return std::exchange(fd_, -1); }
-
- private:
-  int fd_;
-};
-
 void set_patience(int fd, int seconds) {
   const timeval patience{seconds, 0};
   ::setsockopt(fd, SOL_SOCKET, SO_RCVTIMEO, &patience, sizeof(patience));
@@ -141,11 +125,11 @@ class Welder {
 
 std::unique_ptr<LiveExportServer> LiveExportServer::start(const fs::path& run_dir,
                                                           const MeshStream* stream) {
-  Socket socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
   const Address address = address_of(run_dir);
-  if (socket.fd() < 0 ||
-      ::bind(socket.fd(), reinterpret_cast<const sockaddr*>(&address.value), address.size) != 0 ||
-      ::listen(socket.fd(), 4) != 0) {
+  if (socket.get() < 0 ||
+      ::bind(socket.get(), reinterpret_cast<const sockaddr*>(&address.value), address.size) != 0 ||
+      ::listen(socket.get(), 4) != 0) {
     log().info("`corvid export {}` has to wait for the end of this run: {}", run_dir.string(),
                std::strerror(errno));
     return nullptr;
@@ -158,46 +142,46 @@ LiveExportServer::LiveExportServer(int fd, const MeshStream* stream)
         while (!stop.stop_requested()) {
           pollfd waiting{fd, POLLIN, 0};
           if (::poll(&waiting, 1, kPoll_ms) <= 0) continue;
-          const Socket client(::accept4(fd, nullptr, nullptr, SOCK_CLOEXEC));
-          if (client.fd() < 0) {  // too many open files, most likely: whoever waits goes on waiting
+          const Descriptor client(::accept4(fd, nullptr, nullptr, SOCK_CLOEXEC));
+          if (client.get() <
+              0) {  // too many open files, most likely: whoever waits goes on waiting
             std::this_thread::sleep_for(std::chrono::milliseconds(kPoll_ms));
             continue;
           }
-          if (!same_user(client.fd())) continue;
-          set_patience(client.fd(), 1);  // a stuck reader must not hold up the end of the run
-          send_surface(client.fd(), stream, stop);
+          if (!same_user(client.get())) continue;
+          set_patience(client.get(), 1);  // a stuck reader must not hold up the end of the run
+          send_surface(client.get(), stream, stop);
         }
       }) {}
 
 LiveExportServer::~LiveExportServer() {
   thread_.request_stop();
   thread_.join();
-  ::close(fd_);
 }
 
 Expected<std::optional<TriangleMesh>> fetch_live_surface(const fs::path& run_dir) {
-  const Socket socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
-  if (socket.fd() < 0) return fail(ErrorCode::io, std::strerror(errno), run_dir.string());
-  set_patience(socket.fd(), kPatience_s);  // for the connection, too: the server may be busy
+  const Descriptor socket(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
+  if (socket.get() < 0) return fail(ErrorCode::io, std::strerror(errno), run_dir.string());
+  set_patience(socket.get(), kPatience_s);  // for the connection, too: the server may be busy
   const Address address = address_of(run_dir);
-  if (::connect(socket.fd(), reinterpret_cast<const sockaddr*>(&address.value), address.size) !=
+  if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&address.value), address.size) !=
       0) {
     if (errno != EAGAIN) return std::nullopt;
     return fail(ErrorCode::io, "the running engine does not answer", run_dir.string(), "try again");
   }
-  if (!same_user(socket.fd())) return std::nullopt;  // anybody can take such a name
+  if (!same_user(socket.get())) return std::nullopt;  // anybody can take such a name
   Welder welder;
   for (;;) {
     std::uint32_t size = 0;
     std::string bytes;
-    if (receive_all(socket.fd(), reinterpret_cast<char*>(&size), sizeof(size))) {
+    if (receive_all(socket.get(), reinterpret_cast<char*>(&size), sizeof(size))) {
       if (size == 0) return std::optional(std::move(welder.mesh));
       if (size == kNoMapping)
         return fail(ErrorCode::not_found, "the run that goes on maps nothing", run_dir.string(),
                     "it was started with --no-mapping (mapping.enabled = false)");
       if (size <= kMaxPacketBytes) bytes.resize(size);
     }
-    if (bytes.empty() || !receive_all(socket.fd(), bytes.data(), size))
+    if (bytes.empty() || !receive_all(socket.get(), bytes.data(), size))
       return fail(ErrorCode::io, "the running engine broke off", run_dir.string(),
                   "it may have ended: try again");
     const auto packet = decode_packet(bytes);

@@ -7,6 +7,7 @@
 
 #include "corvid/error.h"
 #include "corvid/mesh_stream.h"
+#include "io/descriptor.h"
 #include "io/mesh_stream.h"
 
 namespace corvid {
@@ -28,7 +29,7 @@ class LiveExportServer {
 
  private:
   LiveExportServer(int fd, const MeshStream* stream);
-  int fd_;
+  Descriptor fd_;
   std::jthread thread_;
 };
 

@@ -63,7 +63,6 @@ LiveFolder::~LiveFolder() {
     thread_.request_stop();
     thread_.join();
   }
-  close(fd_);
 }
 
 void LiveFolder::on_pose(const PoseEvent& event) {
@@ -113,7 +112,7 @@ void LiveFolder::run(const std::stop_token& stop) {
       mapped = steady_clock::now();
     }
     if (steady_clock::now() - synced >= kSyncInterval) {
-      fdatasync(fd_);
+      fdatasync(fd_.get());
       synced = steady_clock::now();
     }
     if (last) return;
@@ -121,21 +120,13 @@ void LiveFolder::run(const std::stop_token& stop) {
 }
 
 void LiveFolder::write_lines(const std::string& lines) {
-  const off_t before = lseek(fd_, 0, SEEK_END);
-  std::size_t written = 0;
-  while (written < lines.size()) {
-    const ssize_t n = ::write(fd_, lines.data() + written, lines.size() - written);
-    if (n < 0 && errno == EINTR) continue;
-    if (n > 0) {
-      written += static_cast<std::size_t>(n);
-      continue;
-    }
-    trouble(std::generic_category().message(errno));
-    // A line that is torn goes again, so that those after it can be read.
-    const std::size_t whole = written == 0 ? 0 : lines.rfind('\n', written - 1) + 1;
-    [[maybe_unused]] const int cut = ftruncate(fd_, before + static_cast<off_t>(whole));
-    return;
-  }
+  const off_t before = lseek(fd_.get(), 0, SEEK_END);
+  const std::size_t written = write_all(fd_.get(), lines);
+  if (written == lines.size()) return;
+  trouble(std::generic_category().message(errno));
+  // A line that is torn goes again, so that those after it can be read.
+  const std::size_t whole = written == 0 ? 0 : lines.rfind('\n', written - 1) + 1;
+  [[maybe_unused]] const int cut = ftruncate(fd_.get(), before + static_cast<off_t>(whole));
 }
 
 void LiveFolder::write_map(const MapSnapshot& map) {

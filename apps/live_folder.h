@@ -9,6 +9,7 @@
 
 #include "corvid/error.h"
 #include "corvid/ports.h"
+#include "io/descriptor.h"
 
 namespace corvid {
 
@@ -46,7 +47,7 @@ class LiveFolder final : public PoseSink, public MapSink {
   void trouble(const std::string& what);
 
   const std::filesystem::path path_;
-  int fd_;  ///< poses.txt, appended to
+  Descriptor fd_;  ///< poses.txt, appended to
   int segment_ = -1;
   std::uint64_t resets_ = 0;
   bool in_trouble_ = false;

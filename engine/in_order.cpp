@@ -6,11 +6,11 @@
 #include <utility>
 
 #include "core/clock.h"
+#include "core/messages.h"
 
 namespace corvid {
 namespace {
 
-constexpr std::size_t kMostMessages = 100;
 constexpr double kLeap_s = 10;
 constexpr std::size_t kMostLate = 10;
 constexpr std::string_view kTwice = "that of the frame before it";
@@ -34,8 +34,7 @@ FramePtr InOrder::accept(FramePtr frame) {
 void InOrder::refuse(const Frame& frame, std::string_view why) {
   if (!frame.blind.empty()) return;
   ++refused_.skipped;
-  if (refused_.messages.size() < kMostMessages)
-    refused_.messages.push_back(fmt::format("frame {}: its time is {}", frame.id.value, why));
+  add_message(refused_.messages, fmt::format("frame {}: its time is {}", frame.id.value, why));
 }
 
 Expected<FramePtr> InOrder::next(const std::stop_token& stop) {
@@ -78,8 +77,7 @@ SourceCounts InOrder::counts() const {
   SourceCounts counts = source_.counts();
   counts.skipped += refused_.skipped;
   counts.delivered -= std::min(counts.delivered, refused_.skipped);
-  for (const std::string& message : refused_.messages)
-    if (counts.messages.size() < kMostMessages) counts.messages.push_back(message);
+  for (const std::string& message : refused_.messages) add_message(counts.messages, message);
   return counts;
 }
 

@@ -13,25 +13,18 @@
 #include <utility>
 #include <vector>
 
+#include "io/descriptor.h"
 #include "io/io_fault.h"
 
 namespace corvid {
 namespace fs = std::filesystem;
 namespace {
 
-/// Closes a file descriptor at the end of the scope.
-struct Descriptor {
-  int fd = -1;
-  ~Descriptor() {
-    if (fd >= 0) ::close(fd);
-  }
-};
-
 Expected<void> sync_path(const fs::path& path) {
-  const Descriptor d{::open(path.c_str(), O_RDONLY | O_CLOEXEC)};
-  if (d.fd < 0) return io_fault("cannot be opened to sync it", path, errno);
+  const Descriptor d(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (d.get() < 0) return io_fault("cannot be opened to sync it", path, errno);
   // Some file systems cannot sync a directory (EINVAL); then there is nothing more to be done.
-  if (::fsync(d.fd) != 0 && errno != EINVAL) return io_fault("cannot be synced", path, errno);
+  if (::fsync(d.get()) != 0 && errno != EINVAL) return io_fault("cannot be synced", path, errno);
   return {};
 }
 
@@ -91,16 +84,6 @@ Expected<int> create_beside(const fs::path& path, std::string& name) {
   return fd;
 }
 
-Expected<void> write_all(int fd, std::string_view bytes, const fs::path& path) {
-  while (!bytes.empty()) {
-    const ssize_t n = ::write(fd, bytes.data(), bytes.size());
-    if (n < 0 && errno == EINTR) continue;
-    if (n < 0) return io_fault("cannot be written", path, errno);
-    bytes.remove_prefix(static_cast<std::size_t>(n));
-  }
-  return {};
-}
-
 /// Opens and locks a folder; -1 if another live process holds it or it cannot be opened.
 int lock_folder(const fs::path& path) {
   const int fd = ::open(path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
@@ -129,7 +112,7 @@ void remove_dead_partials(const fs::path& final_path) {
   }
   for (const fs::path& path : dead) {
     const Descriptor lock{lock_folder(path)};
-    if (lock.fd >= 0) fs::remove_all(path, ec);
+    if (lock.get() >= 0) fs::remove_all(path, ec);
   }
 }
 
@@ -158,9 +141,9 @@ Expected<void> check_replaceable(const fs::path& final_path, std::string_view ma
 
 Expected<std::string> read_file_bytes(const fs::path& path) {
   const Descriptor d{::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK)};
-  if (d.fd < 0) return io_fault("cannot be opened", path, errno);
+  if (d.get() < 0) return io_fault("cannot be opened", path, errno);
   struct stat status {};
-  if (::fstat(d.fd, &status) != 0) return io_fault("cannot be examined", path, errno);
+  if (::fstat(d.get(), &status) != 0) return io_fault("cannot be examined", path, errno);
   if (S_ISDIR(status.st_mode)) return io_fault("cannot be read", path, EISDIR);
   if (!S_ISREG(status.st_mode)) {  // a pipe would block, a device might never end
     return fail(ErrorCode::unsupported, "is not a regular file", path.string());
@@ -171,7 +154,7 @@ Expected<std::string> read_file_bytes(const fs::path& path) {
   if (!ec) bytes.reserve(size);
   char buffer[65536];
   while (true) {
-    const ssize_t n = ::read(d.fd, buffer, sizeof buffer);
+    const ssize_t n = ::read(d.get(), buffer, sizeof buffer);
     if (n < 0 && errno == EINTR) continue;
     if (n < 0) return io_fault("cannot be read", path, errno);
     if (n == 0) return bytes;
@@ -187,9 +170,10 @@ Expected<void> write_file_atomically(const fs::path& name, std::string_view byte
   const auto created = create_beside(path, temporary);
   if (!created) return tl::unexpected(created.error());
   const Descriptor d{*created};
-  Expected<void> ok = write_all(d.fd, bytes, path);
-  if (ok && ::fchmod(d.fd, 0644) != 0) ok = io_fault("mode cannot be set", path, errno);
-  if (ok && ::fsync(d.fd) != 0) ok = io_fault("cannot be synced", path, errno);
+  Expected<void> ok;
+  if (write_all(d.get(), bytes) < bytes.size()) ok = io_fault("cannot be written", path, errno);
+  if (ok && ::fchmod(d.get(), 0644) != 0) ok = io_fault("mode cannot be set", path, errno);
+  if (ok && ::fsync(d.get()) != 0) ok = io_fault("cannot be synced", path, errno);
   if (ok && ::rename(temporary.c_str(), path.c_str()) != 0) {
     ok = io_fault("cannot be renamed into place", path, errno);
   }

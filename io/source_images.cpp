@@ -7,13 +7,12 @@
 #include <map>
 #include <utility>
 
+#include "core/messages.h"
 #include "io/exif.h"
 #include "io/image_file.h"
 
 namespace corvid {
 namespace {
-
-constexpr std::size_t kMaxMessages = 100;
 
 double median_rate_hz(const std::vector<ImageEntry>& entries, const std::vector<bool>& bad) {
   std::vector<std::int64_t> gaps;
@@ -48,7 +47,7 @@ class ImageSource final : public FrameSource {
   [[nodiscard]] Expected<void> fit_entry_cameras(const std::string& where);
   void skip(std::string message) {
     ++counts_.skipped;
-    if (counts_.messages.size() < kMaxMessages) counts_.messages.push_back(std::move(message));
+    add_message(counts_.messages, std::move(message));
   }
 
   SourceInfo info_;
@@ -338,6 +337,22 @@ void assume_camera(const std::string& path, int width_px, int height_px, SourceI
         camera.fx_px));
   }
   info.camera = std::make_shared<const Camera>(camera);
+}
+
+Expected<void> take_calibration(const std::string& path, int width_px, int height_px,
+                                SourceInfo& info) {
+  if (path.empty()) {
+    assume_camera("", width_px, height_px, info);
+    return {};
+  }
+  auto read = read_calibration(path);
+  if (!read) return tl::unexpected(read.error());
+  auto fitted = fit_calibration(std::move(*read), width_px, height_px, path);
+  if (!fitted) return tl::unexpected(fitted.error());
+  info.camera = std::make_shared<const Camera>(fitted->camera);
+  info.notes.push_back(fmt::format("camera from {} ({})", path, fitted->format));
+  info.notes.insert(info.notes.end(), fitted->notes.begin(), fitted->notes.end());
+  return {};
 }
 
 Expected<std::unique_ptr<FrameSource>> open_image_list(const std::string& path, ImageList list,

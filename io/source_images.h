@@ -16,6 +16,11 @@ namespace corvid {
 /// 1.2 times the longer side; principal point in the middle. Fills camera, intrinsics and notes.
 void assume_camera(const std::string& path, int width_px, int height_px, SourceInfo& info);
 
+/// The camera of a calibration file, for pictures of this size; assume_camera() if `path` is empty.
+/// Fills camera and notes. Errors: the file's, or that it does not fit the size.
+[[nodiscard]] Expected<void> take_calibration(const std::string& path, int width_px, int height_px,
+                                              SourceInfo& info);
+
 /// The one source that delivers image files, whatever format listed them. Images that cannot be
 /// read, have another size than the first, or whose time goes back are skipped and counted. Fails
 /// if no image at all can be read or the calibration does not fit the images.

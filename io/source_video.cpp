@@ -11,7 +11,7 @@
 #include <opencv2/videoio.hpp>
 #include <string_view>
 
-#include "io/calibration.h"
+#include "core/messages.h"
 #include "io/ffmpeg_log.h"
 #include "io/readers/text.h"
 #include "io/source_images.h"
@@ -23,7 +23,6 @@ namespace {
 
 using namespace std::string_view_literals;
 
-constexpr std::size_t kMaxMessages = 100;
 constexpr int kTimeProbe =
     30;  // frames whose container times are looked at before they are trusted
 constexpr double kDefaultRate_hz = 30;
@@ -53,7 +52,7 @@ class VideoSource final : public FrameSource {
   }
   void skip(std::string message) {
     ++counts_.skipped;
-    if (counts_.messages.size() < kMaxMessages) counts_.messages.push_back(std::move(message));
+    add_message(counts_.messages, std::move(message));
   }
   void report_missing_end();
   [[nodiscard]] FramePtr make_frame(const cv::Mat& image, std::int64_t time_ns);
@@ -177,18 +176,7 @@ Expected<void> VideoSource::take_camera() {
     std::error_code ignored;
     if (path.empty() && fs::is_regular_file(beside, ignored)) path = beside.string();
   }
-  if (path.empty()) {
-    assume_camera("", width_px_, height_px_, info_);
-    return {};
-  }
-  auto read = read_calibration(path);
-  if (!read) return tl::unexpected(read.error());
-  auto fitted = fit_calibration(std::move(*read), width_px_, height_px_, path);
-  if (!fitted) return tl::unexpected(fitted.error());
-  info_.camera = std::make_shared<const Camera>(fitted->camera);
-  info_.notes.push_back(fmt::format("camera from {} ({})", path, fitted->format));
-  info_.notes.insert(info_.notes.end(), fitted->notes.begin(), fitted->notes.end());
-  return {};
+  return take_calibration(path, width_px_, height_px_, info_);
 }
 
 Expected<std::unique_ptr<FrameSource>> VideoSource::open(const std::string& path,
@@ -291,10 +279,8 @@ void VideoSource::report_missing_end() {
     if (options_.count >= 0) missing = std::min<std::int64_t>(missing, options_.count - taken_);
     if (missing <= 0) return;
     counts_.skipped += static_cast<std::uint64_t>(missing);
-    if (counts_.messages.size() < kMaxMessages) {
-      counts_.messages.push_back(fmt::format("{}: the video ends after {} of {} frames", info_.path,
-                                             position_, promised_));
-    }
+    add_message(counts_.messages, fmt::format("{}: the video ends after {} of {} frames",
+                                              info_.path, position_, promised_));
   }
 }
 

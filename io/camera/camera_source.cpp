@@ -9,13 +9,12 @@
 
 #include "core/check.h"
 #include "core/log.h"
-#include "io/calibration.h"
+#include "core/messages.h"
 #include "io/source_images.h"
 
 namespace corvid {
 namespace {
 
-constexpr std::size_t kMostMessages = 100;
 constexpr std::chrono::milliseconds kSlice(100);  // waited at once, so that all else has its turn
 constexpr double kFresh_s = 0.3;                  // between opening and the first picture taken
 constexpr double kUnknownRate_hz = 5;             // when the driver says none
@@ -25,8 +24,7 @@ std::int64_t ns(double seconds) { return std::llround(1e9 * seconds); }
 void add(SourceCounts& sum, const StreamCounts& stream) {
   sum.lost += stream.lost;
   sum.skipped += stream.damaged;
-  for (const std::string& message : stream.messages)
-    if (sum.messages.size() < kMostMessages) sum.messages.push_back(message);
+  for (const std::string& message : stream.messages) add_message(sum.messages, message);
 }
 
 }  // namespace
@@ -54,20 +52,7 @@ Expected<void> CameraSource::take_camera() {
   info_.colour = set.colour;
   info_.notes = set.notes;
   info_.notes.insert(info_.notes.begin(), fmt::format("format {}", set.format));
-  if (options_.calibration_path.empty()) {
-    assume_camera("", set.width_px, set.height_px, info_);
-    return {};
-  }
-  auto read = read_calibration(options_.calibration_path);
-  if (!read) return tl::unexpected(read.error());
-  auto fitted =
-      fit_calibration(std::move(*read), set.width_px, set.height_px, options_.calibration_path);
-  if (!fitted) return tl::unexpected(fitted.error());
-  info_.camera = std::make_shared<const Camera>(fitted->camera);
-  info_.notes.push_back(
-      fmt::format("camera from {} ({})", options_.calibration_path, fitted->format));
-  info_.notes.insert(info_.notes.end(), fitted->notes.begin(), fitted->notes.end());
-  return {};
+  return take_calibration(options_.calibration_path, set.width_px, set.height_px, info_);
 }
 
 std::int64_t CameraSource::stall_ns() const {

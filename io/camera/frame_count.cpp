@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include "core/messages.h"
+
 namespace corvid {
 
 std::uint64_t FrameCount::came(std::uint32_t number) {
@@ -19,11 +21,8 @@ std::uint64_t FrameCount::came(std::uint32_t number) {
 }
 
 void FrameCount::damaged(std::uint64_t sequence, const std::string& why) {
-  constexpr std::size_t kMostMessages = 100;
   ++counts_.damaged;
-  if (counts_.messages.size() < kMostMessages) {
-    counts_.messages.push_back(fmt::format("picture {}: {}", sequence, why));
-  }
+  add_message(counts_.messages, fmt::format("picture {}: {}", sequence, why));
 }
 
 }  // namespace corvid

@@ -89,19 +89,8 @@ Expected<V4l2Device> V4l2Device::open(const std::string& path) {
   return device;
 }
 
-V4l2Device::V4l2Device(V4l2Device&& other) noexcept
-    : fd_(std::exchange(other.fd_, -1)),
-      path_(std::move(other.path_)),
-      name_(std::move(other.name_)),
-      driver_(std::move(other.driver_)),
-      multiplanar_(other.multiplanar_) {}
-
-V4l2Device::~V4l2Device() {
-  if (fd_ >= 0) ::close(fd_);
-}
-
 int V4l2Device::call(unsigned long request, void* argument) const {
-  while (::ioctl(fd_, request, argument) != 0) {
+  while (::ioctl(fd(), request, argument) != 0) {
     if (errno != EINTR) return errno;
   }
   return 0;

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "corvid/error.h"
+#include "io/descriptor.h"
 
 namespace corvid {
 
@@ -32,15 +33,10 @@ class V4l2Device {
  public:
   /// Errors as of open_v4l2().
   [[nodiscard]] static Expected<V4l2Device> open(const std::string& path);
-  V4l2Device(V4l2Device&& other) noexcept;
-  V4l2Device(const V4l2Device&) = delete;
-  V4l2Device& operator=(const V4l2Device&) = delete;
-  V4l2Device& operator=(V4l2Device&&) = delete;
-  ~V4l2Device();
 
   /// An ioctl, again where a signal came in between. 0, or errno.
   [[nodiscard]] int call(unsigned long request, void* argument) const;
-  [[nodiscard]] int fd() const { return fd_; }
+  [[nodiscard]] int fd() const { return fd_.get(); }
   [[nodiscard]] const std::string& path() const { return path_; }
   [[nodiscard]] const std::string& name() const { return name_; }
   [[nodiscard]] const std::string& driver() const { return driver_; }
@@ -59,7 +55,7 @@ class V4l2Device {
 
  private:
   V4l2Device(int fd, std::string path) : fd_(fd), path_(std::move(path)) {}
-  int fd_ = -1;
+  Descriptor fd_;
   std::string path_, name_, driver_;
   bool multiplanar_ = false;
 };

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "core/log.h"
+#include "core/messages.h"
 #include "io/camera/upper_bits.h"
 #include "io/camera/y4m_header.h"
 #include "io/io_fault.h"
@@ -35,7 +36,6 @@ constexpr std::int64_t kSecond_ns = 1'000'000'000, kMostDelay_ns = kSecond_ns / 
 constexpr std::int64_t kSoon = 100;
 constexpr int kMostSoon = 3;
 constexpr std::string_view kFrameMark = "FRAME";
-constexpr std::size_t kMaxMessages = 100;
 
 enum class Got { enough, not_yet, end };
 
@@ -196,11 +196,9 @@ void Y4mStream::end() {
   ended_ = true;
   if (!in_frame_ && pipe_->bytes().empty()) return;
   ++counts_.damaged;
-  if (counts_.messages.size() < kMaxMessages) {
-    counts_.messages.push_back(
-        fmt::format("{}: frame {} is cut off: {} of {} bytes", pipe_->where(), sequence_,
-                    in_frame_ ? pipe_->bytes().size() : 0, header_.frame_bytes()));
-  }
+  add_message(counts_.messages,
+              fmt::format("{}: frame {} is cut off: {} of {} bytes", pipe_->where(), sequence_,
+                          in_frame_ ? pipe_->bytes().size() : 0, header_.frame_bytes()));
 }
 
 tl::unexpected<Error> Y4mStream::broken(std::string what) {

@@ -35,18 +35,4 @@ class MavlinkLine {
 [[nodiscard]] std::unique_ptr<MavlinkLine> udp_line(const MavlinkOptions& options);
 [[nodiscard]] std::unique_ptr<MavlinkLine> serial_line(const MavlinkOptions& options);
 
-/// A file descriptor that is closed with its owner.
-class Descriptor {
- public:
-  explicit Descriptor(int number = -1) : number_(number) {}
-  ~Descriptor() { reset(-1); }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  void reset(int number);
-  [[nodiscard]] int get() const { return number_; }
-
- private:
-  int number_;
-};
-
 }  // namespace corvid

@@ -11,6 +11,7 @@
 
 #include "core/clock.h"
 #include "corvid/ports.h"
+#include "io/descriptor.h"
 #include "io/mavlink/line.h"
 #include "io/mavlink/mavlink_options.h"
 

@@ -11,6 +11,7 @@
 #include <optional>
 #include <vector>
 
+#include "io/descriptor.h"
 #include "io/mavlink/line.h"
 
 namespace corvid {

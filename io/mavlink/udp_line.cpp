@@ -2,12 +2,12 @@
 #include <netdb.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
-#include <unistd.h>
 
 #include <cerrno>
 #include <cstring>
 #include <optional>
 
+#include "io/descriptor.h"
 #include "io/mavlink/line.h"
 
 namespace corvid {
@@ -141,11 +141,6 @@ int UdpLine::local_port() const {
 
 std::unique_ptr<MavlinkLine> udp_line(const MavlinkOptions& options) {
   return std::make_unique<UdpLine>(options);
-}
-
-void Descriptor::reset(int number) {
-  if (number_ >= 0) ::close(number_);
-  number_ = number;
 }
 
 }  // namespace corvid
