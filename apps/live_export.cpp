@@ -143,8 +143,7 @@ LiveExportServer::LiveExportServer(int fd, const MeshStream* stream)
           pollfd waiting{fd, POLLIN, 0};
           if (::poll(&waiting, 1, kPoll_ms) <= 0) continue;
           const Descriptor client(::accept4(fd, nullptr, nullptr, SOCK_CLOEXEC));
-          if (client.get() <
-              0) {  // too many open files, most likely: whoever waits goes on waiting
+          if (client.get() < 0) {  // too many open files, most likely: who waits goes on waiting
             std::this_thread::sleep_for(std::chrono::milliseconds(kPoll_ms));
             continue;
           }
